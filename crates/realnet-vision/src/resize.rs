@@ -15,28 +15,33 @@ const WEIGHT_ONE: f32 = 2048.0;
 /// Where one output sample lies between two input samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tap {
-    /// Index of the first input sample; the second is the next one.
+    /// Index of the first input sample.
     first: usize,
+    /// Index of the second input sample: the next one, or the same at a border.
+    second: usize,
     /// Weights of the two, in units of 1/2048.
     weights: [i16; 2],
 }
 
-/// Sample positions along one axis.
-fn taps(source: u32, target: u32, out: &mut Vec<Tap>) {
+/// Sample positions along one axis. Beyond the border both samples are the outer
+/// one; OpenCV rounds its two shares one by one in the vertical pass (`split`),
+/// and takes it whole in the horizontal one.
+fn taps(source: u32, target: u32, split: bool, out: &mut Vec<Tap>) {
     out.clear();
     let scale = f64::from(source) / f64::from(target);
+    let last = i64::from(source) - 1;
+    let weight = |w: f32| (w * WEIGHT_ONE).round_ties_even() as i16;
     out.extend((0..target).map(|i| {
         let position = ((f64::from(i) + 0.5) * scale - 0.5) as f32;
         let floor = position.floor();
-        let (first, fraction) = if floor < 0.0 {
-            (0, 0.0)
-        } else if floor as u32 >= source - 1 {
-            (source as usize - 1, 0.0)
-        } else {
-            (floor as usize, position - floor)
-        };
-        let weight = |w: f32| (w * WEIGHT_ONE).round_ties_even() as i16;
-        Tap { first, weights: [weight(1.0 - fraction), weight(fraction)] }
+        let index = floor as i64;
+        let inner = index >= 0 && index < last;
+        let fraction = if inner || split { position - floor } else { 0.0 };
+        Tap {
+            first: index.clamp(0, last) as usize,
+            second: (index + 1).clamp(0, last) as usize,
+            weights: [weight(1.0 - fraction), weight(fraction)],
+        }
     }));
 }
 
@@ -69,17 +74,16 @@ impl RowResizer {
         let channels = frame.format().channels();
         let key = (region.width, region.height, width, height, channels);
         if self.key != Some(key) {
-            taps(region.width, width, &mut self.columns);
-            taps(region.height, height, &mut self.rows);
+            taps(region.width, width, false, &mut self.columns);
+            taps(region.height, height, true, &mut self.rows);
             let values = width as usize * channels;
             self.cache.iter_mut().for_each(|row| row.resize(values, 0));
             self.line.resize(values, 0);
             self.key = Some(key);
         }
         self.cached = [None; 2];
-        let last_row = region.height as usize - 1;
-        for (y, &Tap { first, weights }) in self.rows.iter().enumerate() {
-            let wanted = [first, (first + 1).min(last_row)];
+        for (y, &Tap { first, second, weights }) in self.rows.iter().enumerate() {
+            let wanted = [first, second];
             // A row that both neighbours need moves from the second slot to the first.
             if self.cached[0] != Some(wanted[0]) && self.cached[1] == Some(wanted[0]) {
                 self.cache.swap(0, 1);
@@ -129,7 +133,7 @@ fn resize_row_portable<const CHANNELS: usize>(
         for channel in 0..CHANNELS {
             let at =
                 |pixel: usize| row.get(pixel * CHANNELS + channel).copied().map_or(0, i32::from);
-            out[channel * width + x] = ((at(tap.first) * a + at(tap.first + 1) * b) >> 4) as i16;
+            out[channel * width + x] = ((at(tap.first) * a + at(tap.second) * b) >> 4) as i16;
         }
     }
 }
