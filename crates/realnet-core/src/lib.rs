@@ -11,6 +11,7 @@
 //! | [`BoundingBox`] | an axis-aligned box in pixels, `f32` |
 //! | [`Detection`] | a box with class and confidence |
 //! | [`CameraModel`] | pinhole camera with lens distortion, `f64` |
+//! | [`CameraCalibration`] | a named camera, read from and written to ROS YAML |
 //! | [`Pose`] | a rigid transform, named `a_from_b` |
 //!
 //! Frames of reference follow REP-103 and REP-105: a body has x forward, y
@@ -34,8 +35,14 @@ mod pose;
 mod stamp;
 
 pub use bbox::BoundingBox;
-pub use camera::{CameraError, CameraModel, Distortion};
+pub use camera::{
+    CalibrationError, CameraCalibration, CameraError, CameraModel, Distortion, Intrinsics,
+};
 pub use detection::Detection;
 pub use frame::{Frame, FrameError, PixelFormat};
 pub use pose::{Pose, PoseError, body_from_optical};
 pub use stamp::Stamp;
+
+/// The linear algebra of [`CameraModel`] and [`Pose`], so that their users have
+/// the same version of it.
+pub use nalgebra;
