@@ -5,11 +5,13 @@ mod coco;
 mod confusion;
 mod curves;
 mod index;
+pub mod plot;
 mod report;
 mod types;
 
 pub use coco::{AreaRange, ClassScore, CocoOptions, CocoSummary, evaluate};
 pub use confusion::{ConfusionMatrix, ConfusionOptions, confusion_matrix};
 pub use curves::{ClassCurves, ConfidenceCurves, OperatingPoint, confidence_curves};
+pub use plot::PlotError;
 pub use report::{ClassReport, Report};
 pub use types::{EvalError, GroundTruth, Prediction};

@@ -1,0 +1,116 @@
+//! Pictures of the curves and of the confusion matrix, drawn into memory.
+
+mod curves;
+mod matrix;
+
+pub use curves::{f1_curve, pr_curve, precision_curve, recall_curve};
+pub use matrix::confusion_plot;
+
+use plotters::prelude::*;
+use plotters::style::register_font;
+use realnet_core::{Frame, FrameError, Stamp};
+use thiserror::Error;
+
+/// Why a plot could not be drawn.
+#[derive(Debug, Error)]
+pub enum PlotError {
+    /// The built-in font was refused.
+    #[error("the built-in font for plots cannot be read")]
+    Font,
+    /// Drawing failed.
+    #[error("a plot of {width}x{height} pixels cannot be drawn: {reason}")]
+    Draw {
+        /// Pixels a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// What the drawing library says.
+        reason: String,
+    },
+    /// The picture makes no frame.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+}
+
+const FONT: &str = "realnet-plots";
+const INK: RGBColor = RGBColor(38, 43, 51);
+const GRID: RGBColor = RGBColor(226, 229, 234);
+const ACCENT: RGBColor = RGBColor(22, 74, 166);
+
+/// Draws a white picture of `width` x `height` pixels by `paint`.
+fn draw<F>(width: u32, height: u32, paint: F) -> Result<Frame, PlotError>
+where
+    F: FnOnce(&Canvas<'_>) -> Result<(), String>,
+{
+    register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT)
+        .map_err(|_| PlotError::Font)?;
+    let mut pixels = vec![255u8; width as usize * height as usize * 3];
+    let fail = |reason| PlotError::Draw { width, height, reason };
+    {
+        let canvas = BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area();
+        paint(&canvas).map_err(fail)?;
+        canvas.present().map_err(|e| fail(e.to_string()))?;
+    }
+    Ok(Frame::rgb8(Stamp::ZERO, width, height, pixels)?)
+}
+
+type Canvas<'a> = DrawingArea<BitMapBackend<'a>, plotters::coord::Shift>;
+
+/// A font of the plots; `size` in pixels.
+fn font(size: u32) -> FontDesc<'static> {
+    FontDesc::new(FontFamily::Name(FONT), f64::from(size), FontStyle::Normal)
+}
+
+/// Width of a text in pixels.
+fn width_of(text: &str, size: u32) -> u32 {
+    font(size).box_size(text).map_or(0, |(width, _)| width)
+}
+
+/// The text, cut with an ellipsis to fit into `width` pixels; control
+/// characters become spaces.
+fn fitted(text: &str, size: u32, width: u32) -> String {
+    let mut kept: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    if width_of(&kept, size) <= width {
+        return kept;
+    }
+    while kept.pop().is_some() {
+        let cut = format!("{}…", kept.trim_end());
+        if width_of(&cut, size) <= width {
+            return cut;
+        }
+    }
+    String::new()
+}
+
+/// Text at a point.
+fn write(
+    canvas: &Canvas<'_>,
+    text: &str,
+    at: (i32, i32),
+    style: &TextStyle<'_>,
+) -> Result<(), String> {
+    canvas.draw(&Text::new(text.to_owned(), at, style.clone())).map_err(|e| e.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_are_cut_to_the_width() {
+        draw(10, 10, |_| Ok(())).unwrap();
+        let name = "a very long class name that goes on";
+        let cut = fitted(name, 20, 120);
+        assert!(cut.ends_with('…') && width_of(&cut, 20) <= 120, "{cut}");
+        assert_eq!(fitted(name, 20, 1000), name);
+        assert_eq!(fitted(name, 20, 1), "");
+        assert_eq!(fitted("a\nb", 20, 100), "a b");
+    }
+
+    #[test]
+    fn failures_are_passed_on() {
+        let error = draw(10, 10, |_| Err("no ink".to_owned())).unwrap_err();
+        assert_eq!(error.to_string(), "a plot of 10x10 pixels cannot be drawn: no ink");
+        assert!(matches!(draw(0, 10, |_| Ok(())), Err(PlotError::Frame(_))));
+    }
+}
