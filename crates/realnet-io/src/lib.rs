@@ -1,1 +1,25 @@
-//! TODO
+//! Files and devices: where frames come from and where results go.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`picture`] | JPEG and PNG files to [`Frame`](realnet_core::Frame) and back |
+//! | [`source`] | one iterator over pictures, folders, globs, video, streams and cameras |
+//! | [`video`] | annotated video through an installed ffmpeg |
+//! | [`annotate`] | boxes and labels drawn on a frame |
+//! | [`datasets`] | YOLO `data.yaml` and COCO json, in and out |
+//! | [`results`] | JSON lines, YOLO text and COCO results of a run |
+//! | [`atomic`] | files that are whole or not there |
+//! | [`yuv`] | packed YUV of cameras to RGB |
+//!
+//! This crate may read clocks, start threads and start processes; it never
+//! prints. Each error names the file, the place in it and the value.
+
+pub mod annotate;
+pub mod atomic;
+pub mod datasets;
+mod ffmpeg;
+pub mod picture;
+pub mod results;
+pub mod source;
+pub mod video;
+pub mod yuv;
