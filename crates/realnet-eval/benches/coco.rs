@@ -1,5 +1,6 @@
 //! Speed of the evaluation. `cargo bench -p realnet-eval` measures 5000 images
-//! with 100 detections each in 80 categories; with `--test` a small set runs once.
+//! with 100 detections each in 80 categories; as a test a small set
+//! runs once.
 
 #![allow(missing_docs)]
 
@@ -40,7 +41,8 @@ impl Dice {
 type Case = (Vec<GroundTruth>, Vec<Prediction>);
 
 static CASE: LazyLock<Case> = LazyLock::new(|| {
-    let images = if std::env::args().any(|a| a == "--test") { 50 } else { 5000 };
+    let has = |flag: &str| std::env::args().any(|a| a == flag);
+    let images = if has("--bench") && !has("--test") { 5000 } else { 50 };
     let mut dice = Dice(1);
     let (mut truth, mut found) = (Vec::new(), Vec::new());
     for image_id in 0..images {

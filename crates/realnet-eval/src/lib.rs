@@ -1,5 +1,34 @@
 //! Figures of a detector: average precision by the COCO protocol, precision and
 //! recall against confidence, the confusion matrix, a report and plots.
+//!
+//! | function | what it gives |
+//! |---|---|
+//! | [`evaluate`] | [`CocoSummary`]: COCO's twelve numbers, scores of each category, precision curves |
+//! | [`confidence_curves`] | [`ConfidenceCurves`]: precision, recall, F1 and the confidence of the best F1 |
+//! | [`confusion_matrix`] | [`ConfusionMatrix`]: which category is taken for which |
+//! | [`Report::new`] | [`Report`]: the figures of a validation run as JSON or as a table |
+//! | [`plot`] | the curves and the matrix as pictures |
+//!
+//! All of them take the same two slices, [`GroundTruth`] and [`Prediction`].
+//! Nothing here reads or writes files.
+//!
+//! ```
+//! use realnet_core::BoundingBox;
+//! use realnet_eval::{CocoOptions, GroundTruth, Prediction, Report};
+//! use std::collections::BTreeMap;
+//!
+//! let bbox = BoundingBox::new(10.0, 10.0, 60.0, 40.0);
+//! let truth = [GroundTruth::new(1, 2, bbox), GroundTruth::new(2, 2, bbox)];
+//! let found = [Prediction { image_id: 1, category: 2, bbox, confidence: 0.9 }];
+//!
+//! let summary = realnet_eval::evaluate(&truth, &found, &CocoOptions::default())?;
+//! let curves = realnet_eval::confidence_curves(&truth, &found, 0.5)?;
+//! let names = BTreeMap::from([(2, "car".to_owned())]);
+//! let report = Report::new(&summary, &curves, 2, &names);
+//! assert_eq!((report.precision, report.recall), (Some(1.0), Some(0.5)));
+//! assert!(report.table().starts_with("Class"));
+//! # Ok::<(), realnet_eval::EvalError>(())
+//! ```
 
 mod coco;
 mod confusion;

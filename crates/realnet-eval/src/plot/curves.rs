@@ -1,6 +1,6 @@
 //! Curves: precision, recall and F1 against confidence, precision against recall.
 
-use super::{ACCENT, Canvas, GRID, INK, PlotError, draw, fitted, font, width_of, write};
+use super::{ACCENT, Canvas, FINE, GRID, INK, PlotError, draw, fitted, font, px, width_of, write};
 use crate::coco::{AreaRange, CocoSummary};
 use crate::curves::{ClassCurves, ConfidenceCurves};
 use crate::report::name_of;
@@ -11,9 +11,10 @@ use std::collections::BTreeMap;
 
 const WIDTH: u32 = 1280;
 const HEIGHT: u32 = 860;
-/// Height of the plot's axis area's frame, title left out.
-const TITLE: u32 = 64;
-const LEGEND: u32 = 330;
+/// Height of the title.
+const TITLE: i32 = 64;
+/// Width of the legend.
+const LEGEND: i32 = 330;
 const TEXT: u32 = 22;
 /// With more classes than this the single ones are grey and without a name.
 const NAMED: usize = 20;
@@ -62,11 +63,11 @@ struct Plot<'a> {
 impl Plot<'_> {
     fn draw(&self) -> Result<Frame, PlotError> {
         draw(WIDTH, HEIGHT, |canvas| {
-            let (title, rest) = canvas.split_vertically(TITLE);
-            let (chart, legend) = rest.split_horizontally(WIDTH - LEGEND);
+            let (title, rest) = canvas.split_vertically(px(TITLE));
+            let (chart, legend) = rest.split_horizontally(px(WIDTH as i32 - LEGEND));
             let centre = Pos::new(HPos::Left, VPos::Center);
             let style = font(32).color(&INK).pos(centre);
-            write(&title, self.title, (92, TITLE as i32 / 2 + 2), &style)?;
+            write(&title, self.title, (px(92), px(TITLE / 2 + 2)), &style)?;
             self.lines(&chart).map_err(|e| e.to_string())?;
             self.legend(&legend)
         })
@@ -74,12 +75,12 @@ impl Plot<'_> {
 
     fn lines(&self, canvas: &Canvas<'_>) -> Result<(), Box<dyn std::error::Error>> {
         let mut chart = ChartBuilder::on(canvas)
-            .margin_top(10)
-            .margin_right(24)
-            .margin_bottom(14)
-            .margin_left(10)
-            .x_label_area_size(64)
-            .y_label_area_size(82)
+            .margin_top(px(10))
+            .margin_right(px(24))
+            .margin_bottom(px(14))
+            .margin_left(px(10))
+            .x_label_area_size(px(64))
+            .y_label_area_size(px(82))
             .build_cartesian_2d(0.0..1.0f64, 0.0..1.0f64)?;
         chart
             .configure_mesh()
@@ -87,63 +88,68 @@ impl Plot<'_> {
             .y_labels(11)
             .x_label_formatter(&|v| format!("{v:.1}"))
             .y_label_formatter(&|v| format!("{v:.1}"))
+            .set_all_tick_mark_size(px(6))
             .x_desc(self.x)
             .y_desc(self.y)
             .label_style(font(TEXT).color(&INK))
             .axis_desc_style(font(26).color(&INK))
-            .axis_style(INK)
-            .bold_line_style(GRID)
+            .axis_style(INK.stroke_width(FINE))
+            .bold_line_style(GRID.stroke_width(FINE))
             .light_line_style(WHITE)
             .max_light_lines(1)
             .draw()?;
         let many = self.classes.len() > NAMED;
         for (i, line) in self.classes.iter().enumerate() {
             let style = if many {
-                RGBColor(150, 158, 170).mix(0.45).stroke_width(1)
+                RGBColor(150, 158, 170).mix(0.45).stroke_width(FINE)
             } else {
-                hue(i).stroke_width(2)
+                hue(i).stroke_width(2 * FINE)
             };
             chart.draw_series(LineSeries::new(line.points.iter().copied(), style))?;
         }
         if let Some(mean) = &self.mean {
-            let style = ACCENT.stroke_width(5);
+            let style = ACCENT.stroke_width(4 * FINE);
             chart.draw_series(LineSeries::new(mean.points.iter().copied(), style))?;
         }
         if let Some(point) = self.mark {
-            chart.draw_series([Circle::new(point, 9, WHITE.filled())])?;
-            chart.draw_series([Circle::new(point, 7, ACCENT.filled())])?;
+            chart.draw_series([Circle::new(point, px(9), WHITE.filled())])?;
+            chart.draw_series([Circle::new(point, px(7), ACCENT.filled())])?;
         }
         Ok(())
     }
 
     fn legend(&self, canvas: &Canvas<'_>) -> Result<(), String> {
         let many = self.classes.len() > NAMED;
-        let rows = self.mean.iter().map(|line| (line, ACCENT, 5)).chain(
+        let rows = self.mean.iter().map(|line| (line, ACCENT, 4)).chain(
             self.classes
                 .iter()
                 .take(if many { 0 } else { NAMED })
                 .enumerate()
                 .map(|(i, line)| (line, hue(i), 3)),
         );
-        let (left, right) = (58, LEGEND as i32 - 18);
+        let (left, right) = (58, LEGEND - 18);
         let mut y = 28;
         let style = font(TEXT).color(&INK);
         let start = style.pos(Pos::new(HPos::Left, VPos::Center));
         let end = style.pos(Pos::new(HPos::Right, VPos::Center));
         for (line, color, stroke) in rows {
-            let path = PathElement::new(vec![(12, y), (44, y)], color.stroke_width(stroke));
+            let path = PathElement::new(
+                vec![(px(12), px(y)), (px(44), px(y))],
+                color.stroke_width(stroke * FINE),
+            );
             canvas.draw(&path).map_err(|e| e.to_string())?;
             let room = (right - left) as u32;
             let room = room.saturating_sub(width_of(&line.figure, TEXT) + 14);
-            write(canvas, &fitted(&line.name, TEXT, room), (left, y), &start)?;
-            write(canvas, &line.figure, (right, y), &end)?;
+            write(canvas, &fitted(&line.name, TEXT, room), (px(left), px(y)), &start)?;
+            write(canvas, &line.figure, (px(right), px(y)), &end)?;
             y += 34;
         }
         if many {
             let color = RGBColor(150, 158, 170);
-            let path = PathElement::new(vec![(12, y), (44, y)], color.stroke_width(1));
+            let path =
+                PathElement::new(vec![(px(12), px(y)), (px(44), px(y))], color.stroke_width(FINE));
             canvas.draw(&path).map_err(|e| e.to_string())?;
-            write(canvas, &format!("{} classes", self.classes.len()), (left, y), &start)?;
+            write(canvas, &format!("{} classes", self.classes.len()), (px(left), px(y)), &start)?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The confusion matrix as a picture.
 
-use super::{Canvas, GRID, INK, PlotError, draw, fitted, font, width_of, write};
+use super::{Canvas, FINE, GRID, INK, PlotError, draw, fitted, font, px, width_of, write};
 use crate::confusion::ConfusionMatrix;
 use crate::report::name_of;
 use plotters::prelude::*;
@@ -62,7 +62,7 @@ pub fn confusion_plot(
     draw(width.max(620), height, |canvas| {
         let centre = Pos::new(HPos::Left, VPos::Center);
         let style = font(30).color(&INK).pos(centre);
-        write(canvas, "Confusion matrix, share of the true class", (24, 36), &style)?;
+        write(canvas, "Confusion matrix, share of the true class", (px(24), px(36)), &style)?;
         layout.cells(canvas, matrix)?;
         layout.names(canvas, &labels)?;
         layout.scale(canvas)
@@ -109,23 +109,37 @@ impl Layout {
                 // A wrong one in a hundred must be seen in a matrix without numbers.
                 let shown = if self.side > NUMBERED { share.sqrt() } else { share };
                 let side = self.cell as i32;
-                let area = Rectangle::new([(x, y), (x + side, y + side)], shade(shown).filled());
+                let area = Rectangle::new(
+                    [(px(x), px(y)), (px(x + side), px(y + side))],
+                    shade(shown).filled(),
+                );
                 canvas.draw(&area).map_err(|e| e.to_string())?;
                 if self.side <= NUMBERED && share >= 0.005 {
                     let ink = if shown > 0.5 { WHITE } else { INK };
                     let middle = Pos::new(HPos::Center, VPos::Center);
                     let style = font(size).color(&ink).pos(middle);
                     let text = format!("{share:.2}");
-                    write(canvas, &text, (x + side / 2, y + side / 2), &style)?;
+                    write(canvas, &text, (px(x) + px(side) / 2, px(y) + px(side) / 2), &style)?;
                 }
             }
         }
+        // Between small cells lines would hide what is in them.
+        let between = self.cell >= 8;
         for i in 0..=self.side {
             // The background's row and column are set apart.
-            let ink = if i == 0 || i + 1 >= self.side { INK.mix(0.6) } else { GRID.mix(1.0) };
+            let edge = i == 0 || i + 1 >= self.side;
+            if !edge && !between {
+                continue;
+            }
+            let ink = if edge { INK.mix(0.6) } else { GRID.mix(1.0) };
             let (x, y) = (self.left + self.edge(i), self.top + self.edge(i));
             for ends in [[(x, self.top), (x, ends.1)], [(self.left, y), (ends.0, y)]] {
-                canvas.draw(&PathElement::new(ends.to_vec(), ink)).map_err(|e| e.to_string())?;
+                canvas
+                    .draw(&PathElement::new(
+                        ends.map(|(x, y)| (px(x), px(y))).to_vec(),
+                        ink.stroke_width(FINE),
+                    ))
+                    .map_err(|e| e.to_string())?;
             }
         }
         Ok(())
@@ -141,15 +155,15 @@ impl Layout {
         for (i, label) in (0u32..).zip(labels).filter(|(i, _)| i % every == 0) {
             let middle = self.edge(i) + self.cell as i32 / 2;
             let name = fitted(label, self.text, self.name_room);
-            write(canvas, &name, (self.left - 10, self.top + middle), &beside)?;
-            write(canvas, &name, (self.left + middle, bottom + 10), &below)?;
+            write(canvas, &name, (px(self.left - 10), px(self.top + middle)), &beside)?;
+            write(canvas, &name, (px(self.left + middle), px(bottom + 10)), &below)?;
         }
         let centre = self.edge(self.side) / 2;
         let middle = font(24).color(&INK).pos(Pos::new(HPos::Center, VPos::Center));
         let low = bottom + self.name_room as i32 + 44;
-        write(canvas, "true", (self.left + centre, low), &middle)?;
+        write(canvas, "true", (px(self.left + centre), px(low)), &middle)?;
         let turned = middle.transform(FontTransform::Rotate270);
-        write(canvas, "predicted", (28, self.top + centre), &turned)
+        write(canvas, "predicted", (px(28), px(self.top + centre)), &turned)
     }
 
     /// The meaning of the colours, to the right.
@@ -159,18 +173,20 @@ impl Layout {
         for y in 0..height {
             let share = 1.0 - f64::from(y) / f64::from(height);
             let shown = if self.side > NUMBERED { share.sqrt() } else { share };
-            let line = [(left, self.top + y), (left + 22, self.top + y)];
-            let path = PathElement::new(line.to_vec(), shade(shown));
+            let line = [(px(left), px(self.top + y)), (px(left + 22), px(self.top + y))];
+            let path = PathElement::new(line.to_vec(), shade(shown).stroke_width(FINE));
             canvas.draw(&path).map_err(|e| e.to_string())?;
         }
-        let frame =
-            Rectangle::new([(left, self.top), (left + 22, self.top + height)], INK.mix(0.6));
+        let frame = Rectangle::new(
+            [(px(left), px(self.top)), (px(left + 22), px(self.top + height))],
+            INK.mix(0.6).stroke_width(FINE),
+        );
         canvas.draw(&frame).map_err(|e| e.to_string())?;
         let style = font(18).color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
         for tick in 0..=4 {
             let y = self.top + height - height * tick / 4;
             let text = format!("{:.2}", f64::from(tick) / 4.0);
-            write(canvas, &text, (left + 30, y), &style)?;
+            write(canvas, &text, (px(left + 30), px(y)), &style)?;
         }
         Ok(())
     }
@@ -187,7 +203,8 @@ mod tests {
         let sum = |s| u32::from(shade(s).0) + u32::from(shade(s).1) + u32::from(shade(s).2);
         let sums: Vec<_> = (0..=20).map(|i| sum(f64::from(i) / 20.0)).collect();
         assert!(sums.windows(2).all(|w| w[0] > w[1]));
-        assert_eq!(shade(f64::NAN), shade(0.0));
+        assert_eq!(shade(-1.0), WHITE);
+        assert_eq!(shade(2.0), shade(1.0));
     }
 
     #[test]
