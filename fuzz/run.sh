@@ -29,7 +29,7 @@ RUSTFLAGS="--cfg fuzzing -Cpasses=sancov-module \
 -Cllvm-args=-sanitizer-coverage-pc-table \
 -Cllvm-args=-sanitizer-coverage-trace-compares \
 ${RUSTFLAGS:-}" \
-    cargo build --release --bins --locked --target "$host" --target-dir "$target_dir"
+    cargo build --release --bins --target "$host" --target-dir "$target_dir"
 
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
