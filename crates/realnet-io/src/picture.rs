@@ -213,6 +213,24 @@ fn check_size(width: usize, height: usize, limits: &Limits) -> Result<(), Decode
     Ok(())
 }
 
+/// True when an end marker follows the pixel data. Inside the data a 0xff byte
+/// is always escaped or a restart marker (ITU-T T.81, B.1.1.5); the segments
+/// before, which may hold a whole preview picture, are stepped over.
+fn has_end_marker(jpeg: &[u8]) -> bool {
+    let mut at = 2;
+    while let Some(&[0xff, marker, high, low]) = jpeg.get(at..at + 4) {
+        if marker == 0xff {
+            at += 1; // fill byte
+            continue;
+        }
+        at += 2 + usize::from(u16::from_be_bytes([high, low]));
+        if marker == 0xda {
+            break;
+        }
+    }
+    jpeg.get(at..).is_some_and(|data| data.windows(2).any(|pair| pair == [0xff, 0xd9]))
+}
+
 /// Decodes a JPEG to RGB. Strict: a file that ends before its last pixel, or bad
 /// code words, are an error. (Data cut out before a good end marker are filled
 /// up by the decoder without a word; this cannot be told from outside.)
@@ -232,6 +250,10 @@ fn decode_jpeg(bytes: &[u8], limits: &Limits, mut pixels: Vec<u8>) -> Result<Fra
     pixels.clear();
     pixels.resize(width * height * 3, 0);
     decoder.decode_into(&mut pixels).map_err(broken)?;
+    // The decoder passes over an end inside the last rows.
+    if !has_end_marker(bytes) {
+        return Err(DecodeError::Jpeg("the file ends before the end of the picture".into()));
+    }
     // Both sides are at most 65535.
     let (width, height) = (width as u32, height as u32);
     match orientation {

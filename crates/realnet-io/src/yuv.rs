@@ -30,7 +30,12 @@ pub fn yuyv_to_rgb(
     out.clear();
     let row_bytes = width.saturating_mul(2);
     let needed = stride.saturating_mul(height.saturating_sub(1)).saturating_add(row_bytes);
-    if width == 0 || height == 0 || width % 2 != 0 || stride < row_bytes || data.len() < needed {
+    if width == 0
+        || height == 0
+        || !width.is_multiple_of(2)
+        || stride < row_bytes
+        || data.len() < needed
+    {
         return false;
     }
     out.resize(width * height * 3, 0);

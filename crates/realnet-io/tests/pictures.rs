@@ -1,5 +1,5 @@
 //! Picture files, good and bad.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used)]
 
 mod common;
 
@@ -115,8 +115,7 @@ fn exif_orientation_is_applied() {
 fn every_truncation_of_a_jpeg_is_an_error() {
     let whole = picture::encode(&pattern(160, 120), Encoding::Jpeg { quality: 90 }).unwrap();
     assert!(decode(&whole).is_ok());
-    // The last two bytes are the end marker: without it all pixels are there.
-    for length in 0..whole.len() - 8 {
+    for length in 0..whole.len() {
         assert!(decode(&whole[..length]).is_err(), "{length} of {} bytes", whole.len());
     }
 }

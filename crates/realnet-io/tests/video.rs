@@ -1,5 +1,5 @@
 //! Video in and out, through an installed ffmpeg.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 mod common;
 
