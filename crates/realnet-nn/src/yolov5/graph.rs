@@ -1,0 +1,103 @@
+//! The layers of a network, batch normalisation already folded.
+
+/// What follows a convolution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Activation {
+    Identity,
+    Silu,
+    Hardswish,
+    Relu,
+    LeakyRelu(f32),
+}
+
+/// A convolution with square kernel and bias.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Conv {
+    /// Output channels, input channels per group, kernel, kernel.
+    pub shape: [usize; 4],
+    /// Row-major over `shape`.
+    pub weight: Vec<f32>,
+    /// One per output channel.
+    pub bias: Vec<f32>,
+    pub stride: usize,
+    pub pad: usize,
+    pub groups: usize,
+    pub activation: Activation,
+}
+
+impl Conv {
+    pub(super) fn out(&self) -> usize {
+        self.shape[0]
+    }
+}
+
+/// Two convolutions with an optional shortcut.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Bottleneck {
+    pub cv1: Conv,
+    pub cv2: Conv,
+    pub add: bool,
+}
+
+/// `out(cat(tail(blocks(cv1(x))), cv2(x)))`: C3 has no `tail`, BottleneckCSP has one.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Csp {
+    pub cv1: Conv,
+    pub blocks: Vec<Bottleneck>,
+    pub tail: Option<Conv>,
+    pub cv2: Conv,
+    pub out: Conv,
+}
+
+/// Pyramid pooling: `cv2(cat(x, p1(x), p2(p1(x)), …))` with `x = cv1(input)`.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Spp {
+    pub cv1: Conv,
+    /// Kernels of the chained poolings, each of stride 1.
+    pub pools: Vec<usize>,
+    pub cv2: Conv,
+}
+
+/// What a layer does.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Op {
+    Conv(Conv),
+    Bottlenecks(Vec<Bottleneck>),
+    Csp(Csp),
+    Spp(Spp),
+    /// Nearest-neighbour upsampling by 2.
+    Upsample,
+    /// Along the channels.
+    Concat,
+    /// The 1x1 convolutions of the heads.
+    Detect(Vec<Conv>),
+}
+
+/// A layer with the indices of the layers it reads; `None` is the image.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Layer {
+    pub inputs: Vec<Option<usize>>,
+    pub op: Op,
+}
+
+impl Op {
+    /// All convolutions.
+    pub(super) fn convs(&self) -> Vec<&Conv> {
+        match self {
+            Op::Conv(conv) => vec![conv],
+            Op::Bottlenecks(blocks) => blocks.iter().flat_map(|b| [&b.cv1, &b.cv2]).collect(),
+            Op::Csp(csp) => {
+                let blocks = csp.blocks.iter().flat_map(|b| [&b.cv1, &b.cv2]);
+                [&csp.cv1, &csp.cv2, &csp.out].into_iter().chain(&csp.tail).chain(blocks).collect()
+            }
+            Op::Spp(spp) => vec![&spp.cv1, &spp.cv2],
+            Op::Upsample | Op::Concat => Vec::new(),
+            Op::Detect(heads) => heads.iter().collect(),
+        }
+    }
+
+    /// Number of weights and biases.
+    pub(super) fn parameters(&self) -> usize {
+        self.convs().iter().map(|c| c.weight.len() + c.bias.len()).sum()
+    }
+}
