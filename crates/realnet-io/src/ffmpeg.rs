@@ -243,4 +243,17 @@ mod tests {
         let running = Running::new(command(Path::new("sleep")).arg("1000").spawn().unwrap());
         assert!(!running.wait(Duration::from_millis(5)).unwrap().success());
     }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_child_leads_its_own_process_group() {
+        let child = command(Path::new("sleep")).arg("1000").spawn().unwrap();
+        let pid = child.id().to_string();
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+        drop(Running::new(child));
+        // After the name in brackets: state, parent, process group.
+        let (_, rest) = stat.rsplit_once(") ").unwrap();
+        assert_eq!(rest.split(' ').nth(2), Some(pid.as_str()), "{stat}");
+        assert!(!Path::new(&format!("/proc/{pid}")).exists(), "the child was not reaped");
+    }
 }

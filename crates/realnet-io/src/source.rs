@@ -396,11 +396,11 @@ pub fn open(spec: &str, options: &SourceOptions) -> Result<Source, SourceError> 
     {
         return Err(SourceError::Fps { fps });
     }
-    if let Some((scheme, _)) = spec.split_once("://") {
-        return match scheme {
-            "file" => open_path(spec, Path::new(spec.trim_start_matches("file://")), options),
-            _ => stream::open(spec, None, options),
-        };
+    if let Some(path) = spec.strip_prefix("file://") {
+        return open_path(spec, Path::new(path), options);
+    }
+    if spec.contains("://") {
+        return stream::open(spec, None, options);
     }
     let digits = !spec.is_empty() && spec.bytes().all(|b| b.is_ascii_digit());
     if digits || spec.starts_with("/dev/video") {

@@ -12,8 +12,9 @@ use std::process::{ChildStdin, Stdio};
 use std::time::Duration;
 use thiserror::Error;
 
-/// How long ffmpeg may take to encode what it has buffered.
-const FAREWELL: Duration = Duration::from_secs(120);
+/// How long ffmpeg may take to encode what it has buffered and to move the index
+/// of a very long video to its front.
+const FAREWELL: Duration = Duration::from_secs(1800);
 
 /// Why a video could not be written.
 #[derive(Debug, Error)]

@@ -7,7 +7,10 @@ use common::{ffmpeg, has_ffmpeg, shared};
 use realnet_core::{Frame, Stamp};
 use realnet_io::source::{Source, SourceError, SourceKind, SourceOptions, open};
 use realnet_io::video::VideoWriter;
+use std::io::{Read, Write};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 const SAMPLE: &str = "data/samples/carnd_highway.mp4";
 
@@ -179,6 +182,82 @@ fn a_stream_that_nobody_sends_is_an_error() {
     let error = source.next().unwrap().unwrap_err().to_string();
     assert!(error.contains("http://127.0.0.1:9/live: "), "{error}");
     assert!(source.next().is_none());
+}
+
+/// The address of a server that gives `body` to one visitor, as a live HTTP
+/// stream.
+fn serve(body: Vec<u8>) -> String {
+    let server = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/live", server.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (mut visitor, _) = server.accept().unwrap();
+        let mut request = [0; 4096];
+        let _ = visitor.read(&mut request).unwrap();
+        let length = body.len();
+        write!(visitor, "HTTP/1.0 200 OK\r\nContent-Length: {length}\r\n\r\n").unwrap();
+        visitor.write_all(&body).unwrap();
+    });
+    address
+}
+
+#[test]
+fn a_stream_is_live_unless_asked_otherwise() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let file = made(dir.path(), "a.ts", &["-c:v", "mpeg2video", "-g", "1", "-r", "25"]);
+    let body = std::fs::read(&file).unwrap();
+    let wanted = stamps(start(&file));
+    assert_eq!(wanted.len(), 20);
+    let options = SourceOptions { live: Some(false), ..SourceOptions::default() };
+    let source = open(&serve(body.clone()), &options).unwrap();
+    assert_eq!(stamps(source), wanted);
+    // As live, every frame is either taken or counted as dropped.
+    let mut source = open(&serve(body), &SourceOptions::default()).unwrap();
+    let taken: Vec<_> = source.by_ref().map(Result::unwrap).collect();
+    assert!(!taken.is_empty());
+    assert_eq!(taken.len() as u64 + source.dropped(), 20);
+    assert!(taken.windows(2).all(|w| w[0].frame.stamp() < w[1].frame.stamp()));
+}
+
+#[test]
+fn a_silent_stream_is_an_error_and_its_child_ends() {
+    if !has_ffmpeg() {
+        return;
+    }
+    // Takes connections into its backlog and never answers.
+    let server = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/live", server.local_addr().unwrap());
+    let patience = Some(Duration::from_millis(200));
+    let options = SourceOptions { patience, ..SourceOptions::default() };
+    let mut source = open(&address, &options).unwrap();
+    let error = source.next().unwrap().unwrap_err();
+    assert!(matches!(error, SourceError::Stalled { .. }), "{error}");
+    assert!(source.next().is_none());
+    let stopper = source.stopper();
+    drop(source);
+    stopper.stop();
+}
+
+#[test]
+fn another_thread_can_end_a_waiting_source() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let server = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/live", server.local_addr().unwrap());
+    let options = SourceOptions { patience: None, ..SourceOptions::default() };
+    let mut source = open(&address, &options).unwrap();
+    let stopper = source.stopper();
+    let thread = std::thread::spawn(move || {
+        // Once the visitor is there, the source is waiting for data.
+        let visitor = server.accept().unwrap();
+        stopper.stop();
+        visitor
+    });
+    assert!(source.next().is_none());
+    drop(thread.join().unwrap());
 }
 
 #[cfg(unix)]

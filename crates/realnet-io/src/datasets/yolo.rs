@@ -154,6 +154,8 @@ impl YoloDataset {
         }
         let folder = file.parent().unwrap_or(Path::new(""));
         let root = raw.path.map_or_else(|| folder.to_path_buf(), |p| folder.join(p));
+        // `path: .` leaves no trace in the names of the pictures.
+        let root: PathBuf = root.components().collect();
         // "" is the present folder, but no name for it.
         let root = if root.as_os_str().is_empty() { PathBuf::from(".") } else { root };
         let splits = [("train", raw.train), ("val", raw.val), ("test", raw.test)]

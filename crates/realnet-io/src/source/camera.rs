@@ -167,7 +167,11 @@ impl Produce for Camera {
                 }
             };
             let stamp = stamp(&meta);
-            let used = bytes.get(..meta.bytesused as usize).unwrap_or(bytes);
+            // Some drivers leave the length at 0; then the whole buffer counts.
+            let used = match meta.bytesused as usize {
+                0 => bytes,
+                length => bytes.get(..length).unwrap_or(bytes),
+            };
             let sequence = *self.first_sequence.get_or_insert(meta.sequence);
             // The driver counts lost frames too.
             self.index = self.index.max(u64::from(meta.sequence.wrapping_sub(sequence)));

@@ -249,7 +249,9 @@ impl Job {
         let mut command = ffmpeg::command(&self.program);
         command.args(["-hide_banner", "-nostdin", "-nostats", "-loglevel", "level+info"]);
         if self.live_input {
-            command.args(["-fflags", "nobuffer", "-flags", "low_delay"]);
+            // Not `-fflags nobuffer`: it throws away what was read to find out the
+            // format, often the only key frame for seconds.
+            command.args(["-flags", "low_delay"]);
             let input = self.input.to_string_lossy();
             if input.starts_with("rtsp://") || input.starts_with("rtsps://") {
                 // Lost UDP packets would smear pictures.
@@ -378,6 +380,13 @@ impl Producer {
             (0, _) => self.failed(message),
             (frames, _) => SourceError::Damaged { name: self.name.clone(), frames, message },
         })
+    }
+}
+
+impl Drop for Producer {
+    fn drop(&mut self) {
+        // A stopper may outlive the source; the child must not.
+        *ffmpeg::lock(&self.child) = None;
     }
 }
 
