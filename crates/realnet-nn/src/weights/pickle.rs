@@ -269,6 +269,21 @@ impl Pickle {
         }
     }
 
+    /// How many entries [`Pickle::entries`] would return at most, without copying them.
+    pub fn entry_count(&self, id: Id) -> usize {
+        match self.get(id) {
+            Value::Dict(entries) => entries.len(),
+            Value::Object(o) => {
+                let pairs = self
+                    .sequence_shallow(o.args)
+                    .and_then(|args| self.sequence_shallow(*args.first()?))
+                    .unwrap_or(&[]);
+                pairs.len() + o.entries.len()
+            }
+            _ => 0,
+        }
+    }
+
     /// The value of a text key in a dictionary; the last one counts.
     pub fn lookup(&self, dict: Id, key: &str) -> Option<Id> {
         let found = |entries: &[(Id, Id)]| {

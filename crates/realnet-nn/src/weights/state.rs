@@ -12,7 +12,12 @@ const MAX_DEPTH: usize = 64;
 /// Most modules walked; YOLOv5x6 has about 1500.
 const MAX_MODULES: usize = 50_000;
 /// Most tensors read; YOLOv5x6 has about 1300.
-const MAX_TENSORS: usize = 100_000;
+const MAX_TENSORS: usize = 20_000;
+/// Longest name of a tensor or module with its path, in bytes.
+const MAX_NAME: usize = 512;
+/// Most attributes, entries and numbers looked at while walking modules: shared
+/// values are met once per module, so their number is bounded here.
+const MAX_WORK: usize = 5_000_000;
 /// Most dimensions of a tensor.
 const MAX_RANK: usize = 16;
 /// Most numbers kept of one attribute of a module.
@@ -96,7 +101,8 @@ pub(super) fn checkpoint(
     source: &mut impl Source,
 ) -> Result<Checkpoint, WeightsError> {
     let root = pickle.root();
-    let mut reader = Reader { pickle, source, out: Checkpoint::default(), modules: 0, tensors: 0 };
+    let mut reader =
+        Reader { pickle, source, out: Checkpoint::default(), modules: 0, tensors: 0, work: 0 };
     reader.network(root)?;
     let names = pickle.lookup(root, "names").and_then(|id| class_names(pickle, id));
     if reader.out.class_names.is_none() {
@@ -111,6 +117,7 @@ struct Reader<'a, S> {
     out: Checkpoint,
     modules: usize,
     tensors: usize,
+    work: usize,
 }
 
 impl<'a, S: Source> Reader<'a, S> {
@@ -151,6 +158,16 @@ impl<'a, S: Source> Reader<'a, S> {
         Err(WeightsError::NoNetwork { reason })
     }
 
+    /// Counts what is looked at, and refuses too much of it.
+    fn work(&mut self, count: usize) -> Result<(), WeightsError> {
+        self.work = self.work.saturating_add(count);
+        if self.work > MAX_WORK {
+            let reason = format!("its modules hold more than {MAX_WORK} values");
+            return Err(WeightsError::NoNetwork { reason });
+        }
+        Ok(())
+    }
+
     /// An instance whose attributes have `_modules` or `_parameters`.
     fn is_module(&self, id: Id) -> bool {
         let attributes = self.pickle.attributes(id);
@@ -184,11 +201,18 @@ impl<'a, S: Source> Reader<'a, S> {
         }
         let pickle = self.pickle;
         let Some(attributes) = pickle.attributes(id) else { return Ok(()) };
+        if path.len() > MAX_NAME {
+            let reason = format!("a module has a name of {} bytes", path.len());
+            return Err(WeightsError::NoNetwork { reason });
+        }
+        self.work(1 + pickle.entry_count(attributes))?;
         let join = |name: &str| {
             if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
         };
         for group in ["_parameters", "_buffers"] {
-            let group = pickle.lookup(attributes, group).and_then(|g| pickle.entries(g));
+            let group = pickle.lookup(attributes, group);
+            self.work(group.map_or(0, |g| pickle.entry_count(g)))?;
+            let group = group.and_then(|g| pickle.entries(g));
             for (key, value) in group.unwrap_or_default() {
                 if let Some(name) = pickle.str(key) {
                     self.tensor(&join(name), value)?;
@@ -210,7 +234,9 @@ impl<'a, S: Source> Reader<'a, S> {
             self.out.class_names = names.and_then(|id| class_names(pickle, id));
         }
         self.out.modules.insert(normalise_name(path), info);
-        let children = pickle.lookup(attributes, "_modules").and_then(|m| pickle.entries(m));
+        let children = pickle.lookup(attributes, "_modules");
+        self.work(children.map_or(0, |m| pickle.entry_count(m)))?;
+        let children = children.and_then(|m| pickle.entries(m));
         for (key, child) in children.unwrap_or_default() {
             if let Some(name) = pickle.str(key) {
                 self.module(child, &join(name), depth + 1)?;
@@ -237,6 +263,7 @@ impl<'a, S: Source> Reader<'a, S> {
                 None => number(pickle, value).map(|n| vec![n]),
             };
             if let Some(found) = found {
+                self.work(found.len())?;
                 numbers.insert(name.to_owned(), found);
             }
         }
@@ -272,6 +299,11 @@ impl<'a, S: Source> Reader<'a, S> {
         let Some(call) = self.tensor_call(id) else { return Ok(None) };
         self.tensors += 1;
         let error = |reason| WeightsError::Tensor { name: name.to_owned(), reason };
+        if name.len() > MAX_NAME {
+            let start: String = name.chars().take(40).collect();
+            let reason = format!("a name of {} bytes", name.len());
+            return Err(WeightsError::Tensor { name: format!("{start}…"), reason });
+        }
         if self.tensors > MAX_TENSORS {
             return Err(error(format!("more than {MAX_TENSORS} tensors")));
         }
