@@ -1,1 +1,35 @@
-//! TODO
+//! RealNet makes a robot follow a moving target with one ordinary camera.
+//!
+//! This crate is the front door: it gathers the rooms of the house under one
+//! name and holds the `realnet` program. What stands today is the first room,
+//! *see*: YOLOv5 from any YOLOv5 weights on real frames, without Python.
+//!
+//! ```no_run
+//! let mut detector = realnet::Detector::open("yolov5n.pt".as_ref())?;
+//! let frame = realnet::picture::read("bus.jpg".as_ref())?;
+//! println!("{:?}", detector.detect(&frame)?);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The detector above runs on the embedded engine. To use ONNX Runtime where it
+//! is installed, start a [`Runtime`] with [`find_ort_libraries`]:
+//!
+//! ```no_run
+//! use realnet::{Detector, DetectorModel, DetectorOptions, Runtime, RuntimeOptions};
+//!
+//! let ort_libraries = realnet::find_ort_libraries();
+//! let runtime = Runtime::start(&RuntimeOptions { ort_libraries, ..Default::default() });
+//! let model = DetectorModel::open("yolov5n.pt".as_ref())?;
+//! let detector = Detector::new(model, runtime, DetectorOptions::default())?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod ort_search;
+
+pub use ort_search::find_ort_libraries;
+pub use realnet_core::{BoundingBox, CameraModel, Detection, Frame, Pose, Stamp};
+pub use realnet_eval as eval;
+pub use realnet_io::{annotate, datasets, picture, results, source, video};
+pub use realnet_nn::detector::{DetectError, Detector, DetectorModel, DetectorOptions, Stage};
+pub use realnet_nn::engine::{EngineChoice, Provider, Runtime, RuntimeOptions};
+pub use realnet_nn::{onnx, weights, yolov5};

@@ -1,0 +1,67 @@
+//! Flags that choose the inference engine.
+
+use super::failure::say;
+use clap::{Args, ValueEnum};
+use realnet::{EngineChoice, Provider, Runtime, RuntimeOptions, find_ort_libraries};
+use std::path::PathBuf;
+
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Engine")]
+pub(crate) struct EngineArgs {
+    /// Inference engine; auto takes ONNX Runtime where it is found.
+    #[arg(long, value_enum, default_value_t = EngineFlag::Auto)]
+    engine: EngineFlag,
+    /// The ONNX Runtime library to use, instead of looking for one.
+    #[arg(long, value_name = "FILE")]
+    ort_dylib: Option<PathBuf>,
+    /// Threads of one inference [default: one a core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// What ONNX Runtime computes on.
+    #[arg(long, value_enum, default_value_t = ProviderFlag::Cpu)]
+    provider: ProviderFlag,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum EngineFlag {
+    Auto,
+    Rten,
+    Ort,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ProviderFlag {
+    Cpu,
+    Cuda,
+    Tensorrt,
+    Openvino,
+}
+
+impl EngineArgs {
+    /// Starts the engine, and says so in one line when it is not the one asked for.
+    pub(crate) fn start(&self) -> Runtime {
+        let choice = match (self.engine, &self.ort_dylib) {
+            // Whoever names a library wants it.
+            (EngineFlag::Auto, Some(_)) | (EngineFlag::Ort, _) => EngineChoice::Ort,
+            (EngineFlag::Auto, None) => EngineChoice::Auto,
+            (EngineFlag::Rten, _) => EngineChoice::Rten,
+        };
+        let ort_libraries = match (&self.ort_dylib, choice) {
+            (Some(path), _) => vec![path.clone()],
+            (None, EngineChoice::Rten) => Vec::new(),
+            (None, _) => find_ort_libraries(),
+        };
+        let provider = match self.provider {
+            ProviderFlag::Cpu => Provider::Cpu,
+            ProviderFlag::Cuda => Provider::Cuda,
+            ProviderFlag::Tensorrt => Provider::TensorRt,
+            ProviderFlag::Openvino => Provider::OpenVino,
+        };
+        let threads = self.threads.map_or(0, usize::from);
+        let runtime = Runtime::start(&RuntimeOptions { choice, threads, provider, ort_libraries });
+        if let Some(note) = runtime.note() {
+            say(note);
+        }
+        runtime
+    }
+}

@@ -1,0 +1,87 @@
+//! How a run ends: with which words, and which exit code.
+
+use anyhow::Error;
+use std::{fmt, process::ExitCode};
+
+/// The user's input was bad: exit code 2 instead of 1.
+#[derive(Debug)]
+struct BadInput(Error);
+
+impl fmt::Display for BadInput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::error::Error for BadInput {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.0.source()
+    }
+}
+
+/// Marks an error as the input's fault.
+pub(crate) trait OrBadInput<T> {
+    /// The same result; an error ends the program with exit code 2.
+    fn or_bad_input(self) -> Result<T, Error>;
+}
+
+impl<T, E: Into<Error>> OrBadInput<T> for Result<T, E> {
+    fn or_bad_input(self) -> Result<T, Error> {
+        self.map_err(|error| Error::new(BadInput(error.into())))
+    }
+}
+
+/// An error that is the input's fault, in these words.
+pub(crate) fn bad_input(message: impl fmt::Display) -> Error {
+    Error::new(BadInput(anyhow::anyhow!("{message}")))
+}
+
+/// How a command that did not fail ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Outcome {
+    /// All was done.
+    Done,
+    /// Some inputs were bad, and were reported; the rest was done.
+    BadInputs,
+    /// Ctrl-C came; what was done is whole.
+    Interrupted,
+}
+
+/// Prints an error and gives the exit code.
+pub(crate) fn exit_code(result: Result<Outcome, Error>) -> ExitCode {
+    match result {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::BadInputs) => ExitCode::from(2),
+        Ok(Outcome::Interrupted) => ExitCode::from(130),
+        // Whoever read our output went away: `realnet detect … | head`.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            report(&error);
+            ExitCode::from(if error.downcast_ref::<BadInput>().is_some() { 2 } else { 1 })
+        }
+    }
+}
+
+fn is_broken_pipe(error: &Error) -> bool {
+    error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<std::io::Error>())
+        .any(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// One line to standard error.
+#[allow(clippy::print_stderr, reason = "the program's own messages")]
+pub(crate) fn say(message: impl fmt::Display) {
+    eprintln!("realnet: {message}");
+}
+
+/// An error with its causes, unless a cause is already part of its words.
+pub(crate) fn report(error: &Error) {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    say(text);
+}
