@@ -1,6 +1,6 @@
 //! Small random networks of the known layouts: what is built from them, and
 //! which error names what does not fit.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 use realnet_nn::onnx::{Dim, OnnxModel};
 use realnet_nn::weights::{Checkpoint, Tensor};

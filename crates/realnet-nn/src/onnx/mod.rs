@@ -17,7 +17,7 @@ pub mod proto;
 use std::collections::{BTreeMap, HashSet};
 
 pub(crate) use edit::value_info;
-use prost::Message;
+use prost::{Message, bytes::Bytes};
 use thiserror::Error;
 
 use proto::{
@@ -198,11 +198,21 @@ impl OnnxModel {
     /// [`OnnxError`] if the bytes are no ONNX model, hold no graph, or keep
     /// tensors in another file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, OnnxError> {
-        if bytes.is_empty() {
+        Self::from_vec(bytes.to_vec())
+    }
+
+    /// As [`OnnxModel::from_bytes`] without copying: the weights stay where they
+    /// are, and copies of the model share them.
+    ///
+    /// # Errors
+    /// As [`OnnxModel::from_bytes`].
+    pub fn from_vec(bytes: Vec<u8>) -> Result<Self, OnnxError> {
+        let size = bytes.len();
+        if size == 0 {
             return Err(OnnxError::Empty);
         }
-        let model = ModelProto::decode(bytes)
-            .map_err(|e| OnnxError::NotOnnx { size: bytes.len(), reason: e.to_string() })?;
+        let model = ModelProto::decode(Bytes::from(bytes))
+            .map_err(|e| OnnxError::NotOnnx { size, reason: e.to_string() })?;
         Self::from_proto(model)
     }
 

@@ -6,7 +6,7 @@
 //! the model. Repeated numbers that the schema leaves unpacked are written
 //! unpacked; both forms are read.
 
-use prost::{Message, Oneof};
+use prost::{Message, Oneof, bytes::Bytes};
 
 /// The whole file.
 #[derive(Clone, PartialEq, Message)]
@@ -252,8 +252,8 @@ pub struct TensorProto {
     #[prost(string, tag = "8")]
     pub name: String,
     /// Elements as little-endian bytes.
-    #[prost(bytes = "vec", optional, tag = "9")]
-    pub raw_data: Option<Vec<u8>>,
+    #[prost(bytes = "bytes", optional, tag = "9")]
+    pub raw_data: Option<Bytes>,
     /// Elements of double tensors.
     #[prost(double, repeated, tag = "10")]
     pub double_data: Vec<f64>,

@@ -219,12 +219,11 @@ impl Checkpoint {
 /// `model.` of YOLOv5 put back.
 fn normalise_name(name: &str) -> String {
     let mut rest = name;
-    loop {
-        let Some(inner) =
-            ["module", "model"].iter().find_map(|p| rest.strip_prefix(p)?.strip_prefix('.'))
-        else {
-            break;
-        };
+    let strip = |name: &'_ str| -> Option<usize> {
+        let inner = ["module.", "model."].iter().find_map(|p| name.strip_prefix(p))?;
+        Some(name.len() - inner.len())
+    };
+    while let Some(inner) = strip(rest).and_then(|n| rest.get(n..)) {
         rest = inner;
     }
     let first = rest.split('.').next().unwrap_or_default();

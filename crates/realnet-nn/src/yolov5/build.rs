@@ -133,12 +133,12 @@ impl<'a> Reader<'a> {
             Kind::C3 { shortcut } => {
                 let csp = self.c3(&path, input.channels, *shortcut)?;
                 let out = csp.out.out();
-                (Op::Csp(csp), out, input.stride)
+                (Op::Csp(Box::new(csp)), out, input.stride)
             }
             Kind::BottleneckCsp { shortcut } => {
                 let csp = self.bottleneck_csp(&path, input.channels, *shortcut)?;
                 let out = csp.out.out();
-                (Op::Csp(csp), out, input.stride)
+                (Op::Csp(Box::new(csp)), out, input.stride)
             }
             Kind::Bottleneck { shortcut } => {
                 let block = self.bottleneck(&path, input.channels, *shortcut)?;

@@ -413,7 +413,7 @@ impl Writer {
             dims: shape.iter().map(|&n| to_i64(n)).collect(),
             data_type: Some(data_type),
             name: name.to_owned(),
-            raw_data: Some(bytes),
+            raw_data: Some(bytes.into()),
             ..Default::default()
         });
     }

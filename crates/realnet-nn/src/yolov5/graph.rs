@@ -63,7 +63,7 @@ pub(super) struct Spp {
 pub(super) enum Op {
     Conv(Conv),
     Bottlenecks(Vec<Bottleneck>),
-    Csp(Csp),
+    Csp(Box<Csp>),
     Spp(Spp),
     /// Nearest-neighbour upsampling by 2.
     Upsample,
