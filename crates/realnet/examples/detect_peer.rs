@@ -10,9 +10,6 @@ use realnet::{
 };
 use std::{error::Error, io::BufRead, path::Path, time::Instant};
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let flag = |name: &str| {
@@ -31,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err(note.into());
     }
     let model = DetectorModel::open(Path::new(&need("--model")?))?;
-    let mut detector = Detector::new(model, runtime, DetectorOptions::default())?;
+    let mut detector = Detector::new(model, &runtime, DetectorOptions::default())?;
     println!("ready");
     for line in std::io::stdin().lock().lines() {
         let frames: usize = line?.trim().parse()?;

@@ -20,7 +20,7 @@
 //! let ort_libraries = realnet::find_ort_libraries();
 //! let runtime = Runtime::start(&RuntimeOptions { ort_libraries, ..Default::default() });
 //! let model = DetectorModel::open("yolov5n.pt".as_ref())?;
-//! let detector = Detector::new(model, runtime, DetectorOptions::default())?;
+//! let detector = Detector::new(model, &runtime, DetectorOptions::default())?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

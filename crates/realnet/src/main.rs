@@ -5,11 +5,6 @@
 
 mod cli;
 
-// Networks allocate and free the same large blocks for every frame; the system's
-// allocator gives them back to the kernel each time.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 fn main() -> std::process::ExitCode {
     cli::run()
 }

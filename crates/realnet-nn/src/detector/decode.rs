@@ -126,8 +126,9 @@ impl Decoder {
         for (anchor, block) in level.anchors.iter().zip(output.data.chunks_exact(values * plane)) {
             let objectness = &block[4 * plane..5 * plane];
             for (cell, &logit) in objectness.iter().enumerate() {
-                // Not `logit <= least`: not-a-number is no candidate either.
-                if !(logit > least) {
+                // Also false for not-a-number, which is no candidate.
+                let passes = logit > least;
+                if !passes {
                     continue;
                 }
                 let at = |value: usize| block[value * plane + cell];

@@ -25,8 +25,9 @@ pub struct DetectorOptions {
     /// Input size of the network, (width, height) in pixels; `None` takes the
     /// file's own, or 640x640 for weights that have none.
     pub size: Option<(u32, u32)>,
-    /// Input size of the network for [`Detector::detect_near`].
-    pub region_size: (u32, u32),
+    /// Input size of a second network for [`Detector::detect_near`]; `None` looks
+    /// at crops with the first one.
+    pub region_size: Option<(u32, u32)>,
     /// Least confidence, 0 to 1.
     pub confidence: f32,
     /// Boxes of one class that overlap by more than this are doubles, 0 to 1.
@@ -47,7 +48,7 @@ impl Default for DetectorOptions {
     fn default() -> Self {
         Self {
             size: None,
-            region_size: (192, 192),
+            region_size: None,
             confidence: 0.25,
             iou: 0.45,
             max_det: 300,
@@ -117,7 +118,7 @@ impl Looker {
         options: &DetectorOptions,
     ) -> Result<Self, DetectError> {
         let (network, layout) = model.network(size)?;
-        let engine = runtime.load(&network)?;
+        let engine = runtime.load(network)?;
         let (width, height) = engine.input_size();
         Ok(Self {
             letterboxer: Letterboxer::new(width, height)?,
@@ -160,7 +161,7 @@ impl Looker {
 ///
 /// let model = DetectorModel::open("yolov5n.pt".as_ref())?;
 /// let runtime = Runtime::start(&RuntimeOptions::default());
-/// let mut detector = Detector::new(model, runtime, DetectorOptions::default())?;
+/// let mut detector = Detector::new(model, &runtime, DetectorOptions::default())?;
 /// for found in detector.detect(&frame)? {
 ///     println!("{:?}", found);
 /// }
@@ -168,11 +169,10 @@ impl Looker {
 /// # }
 /// ```
 pub struct Detector {
-    model: DetectorModel,
-    runtime: Runtime,
+    names: Vec<String>,
     options: DetectorOptions,
     whole: Looker,
-    /// The same network for crops; made when first needed.
+    /// The same network at a smaller size, for crops.
     near: Option<Looker>,
     candidates: Vec<Candidate>,
     detections: Vec<Detection>,
@@ -186,7 +186,7 @@ impl Detector {
     pub fn open(path: &Path) -> Result<Self, DetectError> {
         let runtime =
             Runtime::start(&RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() });
-        Self::new(DetectorModel::open(path)?, runtime, DetectorOptions::default())
+        Self::new(DetectorModel::open(path)?, &runtime, DetectorOptions::default())
     }
 
     /// Loads `model` into an engine of `runtime`.
@@ -196,7 +196,7 @@ impl Detector {
     /// asked size, or the engine refuses it.
     pub fn new(
         model: DetectorModel,
-        runtime: Runtime,
+        runtime: &Runtime,
         options: DetectorOptions,
     ) -> Result<Self, DetectError> {
         for (name, value) in [("confidence", options.confidence), ("iou", options.iou)] {
@@ -204,7 +204,7 @@ impl Detector {
                 return Err(OptionError { name, range: "from 0 to 1", value }.into());
             }
         }
-        if !(options.min_size >= 0.0) {
+        if options.min_size.is_nan() || options.min_size < 0.0 {
             let value = options.min_size;
             return Err(OptionError { name: "min_size", range: "0 or more", value }.into());
         }
@@ -212,15 +212,21 @@ impl Detector {
             let value = *class as f32;
             return Err(OptionError { name: "class", range: "one of the model's", value }.into());
         }
-        let whole = Looker::new(&model, &runtime, options.size, &options)?;
+        let near = match options.region_size {
+            Some(size) if model.is_resizable() => {
+                Some(Looker::new(&model, runtime, Some(size), &options)?)
+            }
+            _ => None,
+        };
+        let whole = Looker::new(&model, runtime, options.size, &options)?;
         let (candidates, detections) = (Vec::new(), Vec::new());
-        Ok(Self { model, runtime, options, whole, near: None, candidates, detections })
+        Ok(Self { names: model.into_names(), options, whole, near, candidates, detections })
     }
 
     /// The class names, by class id.
     #[must_use]
     pub fn names(&self) -> &[String] {
-        self.model.names()
+        &self.names
     }
 
     /// Name of a class; empty for an id that the model does not have.
@@ -266,12 +272,11 @@ impl Detector {
 
     /// Objects near `around` only: the network looks at a square crop, twice the
     /// longer side of the box and centred on it, at the smaller
-    /// [`DetectorOptions::region_size`]. Much faster than the whole frame, and
+    /// `region_size`. Much faster than the whole frame, and
     /// sharper for small targets. Boxes are in pixels of the whole frame.
     ///
-    /// The first call loads the network once more at that size; call it with any
-    /// frame beforehand where the time matters. An ONNX file of fixed size and
-    /// without RealNet's metadata keeps its own size.
+    /// An ONNX file of fixed size and without RealNet's metadata keeps its own
+    /// size, as does a detector without a [`DetectorOptions::region_size`].
     ///
     /// # Errors
     /// As [`Detector::detect`].
@@ -293,13 +298,7 @@ impl Detector {
         around: &BoundingBox,
         mark: &mut dyn FnMut(Stage),
     ) -> Result<&[Detection], DetectError> {
-        let near = match &mut self.near {
-            Some(near) => near,
-            none => {
-                let size = self.model.is_resizable().then_some(self.options.region_size);
-                none.insert(Looker::new(&self.model, &self.runtime, size, &self.options)?)
-            }
-        };
+        let near = self.near.as_mut().unwrap_or(&mut self.whole);
         let region = crop_around(frame, around, near.engine.input_size());
         let letterbox = near.look(frame, Some(region), &mut self.candidates, mark)?;
         self.finish(&letterbox, mark);

@@ -137,25 +137,24 @@ impl DetectorModel {
     pub fn open(path: &Path) -> Result<Self, ModelError> {
         let bytes = std::fs::read(path)
             .map_err(|reason| ModelError::Read { path: path.to_owned(), reason })?;
-        Self::from_bytes(&path.display().to_string(), &bytes)
+        Self::from_vec(&path.display().to_string(), bytes)
     }
 
     /// As [`DetectorModel::open`] for bytes in memory; `name` is for messages.
     ///
     /// # Errors
     /// As [`DetectorModel::open`].
-    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self, ModelError> {
-        let not_weights = match Checkpoint::from_bytes(bytes) {
+    pub fn from_vec(name: &str, bytes: Vec<u8>) -> Result<Self, ModelError> {
+        let not_weights = match Checkpoint::from_bytes(&bytes) {
             Ok(checkpoint) => return Self::from_checkpoint(name, &checkpoint),
             Err(reason @ WeightsError::UnknownFormat { .. }) => reason,
             Err(reason) => return Err(ModelError::Weights { name: name.to_owned(), reason }),
         };
-        match OnnxModel::from_bytes(bytes) {
+        // The first field of an ONNX file is its version.
+        let claims_onnx = bytes.starts_with(b"\x08") || name.ends_with(".onnx");
+        match OnnxModel::from_vec(bytes) {
             Ok(model) => Self::from_onnx(name, model),
-            // The first field of an ONNX file is its version.
-            Err(reason) if bytes.starts_with(b"\x08") || name.ends_with(".onnx") => {
-                Err(ModelError::Onnx { name: name.to_owned(), reason })
-            }
+            Err(reason) if claims_onnx => Err(ModelError::Onnx { name: name.to_owned(), reason }),
             Err(_) => Err(ModelError::Weights { name: name.to_owned(), reason: not_weights }),
         }
     }
@@ -201,6 +200,12 @@ impl DetectorModel {
         &self.classes
     }
 
+    /// As [`DetectorModel::names`], when the rest is not needed any more.
+    #[must_use]
+    pub fn into_names(self) -> Vec<String> {
+        self.classes
+    }
+
     /// True when the network can have any input size that its stride divides.
     #[must_use]
     pub fn is_resizable(&self) -> bool {
@@ -221,7 +226,7 @@ impl DetectorModel {
                 let options =
                     OnnxOptions { width: width as usize, height: height as usize, half: false };
                 let bytes = weights.to_onnx(&options).map_err(bad_size)?;
-                let mut model = OnnxModel::from_bytes(&bytes).map_err(onnx)?;
+                let mut model = OnnxModel::from_vec(bytes).map_err(onnx)?;
                 let not = |reason: String| ModelError::NotADetector { name: name(), reason };
                 let metadata =
                     DetectorMetadata::from_onnx(&model).map_err(|error| not(error.to_string()))?;

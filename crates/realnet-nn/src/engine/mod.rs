@@ -216,9 +216,11 @@ impl Runtime {
     /// # Errors
     /// [`EngineError::Input`] when the input is not `[1, 3, H, W]`,
     /// [`EngineError::Load`] when the engine refuses the graph.
-    pub fn load(&self, model: &OnnxModel) -> Result<Box<dyn Engine>, EngineError> {
-        let size = picture_input(model)?;
+    pub fn load(&self, model: OnnxModel) -> Result<Box<dyn Engine>, EngineError> {
+        let size = picture_input(&model)?;
         let bytes = model.to_bytes();
+        // The engine makes copies of its own: ours are gone before it does.
+        drop(model);
         Ok(match &self.backend {
             Backend::Rten => Box::new(rten_engine::RtenEngine::load(bytes, size, self.threads)?),
             Backend::Ort(library, provider) => {

@@ -115,7 +115,7 @@ pub(crate) fn run(args: &DetectArgs) -> Result<Outcome> {
     let model = open_model(&args.model)?;
     let options = DetectorOptions {
         size: args.look.imgsz,
-        region_size: args.look.near_imgsz,
+        region_size: args.look.near.is_some().then_some(args.look.near_imgsz),
         confidence: args.look.conf,
         iou: args.look.iou,
         max_det: args.look.max_det,
@@ -127,7 +127,7 @@ pub(crate) fn run(args: &DetectArgs) -> Result<Outcome> {
     let input = SourceOptions { fps: args.input.fps, size: args.input.size, ..Default::default() };
     let mut source = source::open(&args.source, &input).or_bad_input()?;
     interrupt::stop_on_interrupt(&source);
-    let mut detector = Detector::new(model, args.engine.start(), options).or_bad_input()?;
+    let mut detector = Detector::new(model, &args.engine.start(), options).or_bad_input()?;
     let names = detector.names().to_vec();
     let mut saver = Saver::new(&args.save, &source, &names)?;
     let mut output = Output::stdout();

@@ -3,7 +3,7 @@
 use super::failure::{OrBadInput, bad_input};
 use anyhow::Result;
 use realnet::DetectorModel;
-use std::path::PathBuf;
+use std::path::Path;
 
 /// `640` or `640x384` (width x height) as (width, height).
 pub(crate) fn parse_size(text: &str) -> Result<(u32, u32), String> {
@@ -48,7 +48,7 @@ pub(crate) fn parse_box(text: &str) -> Result<realnet::BoundingBox, String> {
 }
 
 /// Reads a model file.
-pub(crate) fn open_model(path: &PathBuf) -> Result<DetectorModel> {
+pub(crate) fn open_model(path: &Path) -> Result<DetectorModel> {
     DetectorModel::open(path).or_bad_input()
 }
 

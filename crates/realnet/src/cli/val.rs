@@ -214,7 +214,7 @@ pub(crate) fn run(args: &ValArgs) -> Result<Outcome> {
     if let Some(directory) = &args.save {
         make_directory(directory)?;
     }
-    let mut detector = Detector::new(model, args.engine.start(), options).or_bad_input()?;
+    let mut detector = Detector::new(model, &args.engine.start(), options).or_bad_input()?;
     if args.single_cls {
         data.names = vec!["object".to_owned()];
         data.category_ids = vec![0];
