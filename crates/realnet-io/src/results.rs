@@ -172,7 +172,8 @@ impl ImageIds {
     }
 }
 
-/// Collects COCO results and writes them at the end.
+/// Collects COCO results and writes them at the end, with all their digits: an
+/// evaluation of the file must see the boxes that the network found.
 #[derive(Clone, Debug, Default)]
 pub struct CocoCollector {
     category_ids: Option<Vec<u64>>,
@@ -197,8 +198,8 @@ impl CocoCollector {
             CocoResult {
                 image_id,
                 category_id: mapped.unwrap_or(class),
-                bbox: [b[0], b[1], b[2] - b[0], b[3] - b[1]].map(|v| rounded(v, 1e3)),
-                score: rounded(f64::from(d.confidence), 1e5),
+                bbox: [b[0], b[1], b[2] - b[0], b[3] - b[1]],
+                score: f64::from(d.confidence),
             }
         }));
     }
@@ -274,10 +275,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("r.json");
         collector.write(&path).unwrap();
-        assert_eq!(
-            std::fs::read_to_string(&path).unwrap(),
-            r#"[{"image_id":5,"category_id":17,"bbox":[0.1,0.2,2.9,1.3],"score":0.82}]"#
-        );
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.starts_with(r#"[{"image_id":5,"category_id":17,"bbox":["#), "{text}");
+        assert_eq!(collector.results()[0].score as f32, 0.82);
+        assert_eq!(collector.results()[0].bbox[0] as f32, 0.1);
         assert_eq!(coco::read_results(&path).unwrap(), collector.results());
         let error = collector.write(&dir.path().join("no/r.json")).unwrap_err();
         assert!(error.to_string().contains("no/r.json"));

@@ -78,6 +78,15 @@ struct ApiBase {
     get_version_string: unsafe extern "C" fn() -> *const c_char,
 }
 
+/// What the system's loader said; `libloading` itself only says `dlopen failed`.
+fn loader_words(path: &Path, error: &libloading::Error) -> String {
+    let cause = std::error::Error::source(error);
+    let words = cause.map_or_else(|| error.to_string(), ToString::to_string);
+    // The path stands in the message already.
+    let prefix = format!("{}: ", path.display());
+    words.strip_prefix(&prefix).map(str::to_owned).unwrap_or(words)
+}
+
 impl OrtLibrary {
     /// Loads the library at `path`.
     ///
@@ -109,8 +118,8 @@ impl OrtLibrary {
         // dlopen itself runs no code of an ELF file that is not a library, but a
         // library's initialisers run: the path is the user's own choice.
         // SAFETY: as with every plug-in, the file is trusted to be what it says.
-        let library =
-            unsafe { libloading::Library::new(path) }.map_err(|error| open(error.to_string()))?;
+        let library = unsafe { libloading::Library::new(path) }
+            .map_err(|error| open(loader_words(path, &error)))?;
         // SAFETY: the symbol has this signature in every release of ONNX Runtime.
         let get_base: libloading::Symbol<'_, unsafe extern "C" fn() -> *const ApiBase> =
             unsafe { library.get(b"OrtGetApiBase") }
