@@ -6,14 +6,17 @@ use super::{
     engine_args::EngineArgs,
     failure::{OrBadInput, Outcome, report},
     interrupt,
-    model_args::{open_model, parse_box, parse_classes, parse_positive, parse_share, parse_size},
+    model_args::{
+        open_model, parse_box, parse_classes, parse_positive, parse_share, parse_side, parse_size,
+        start_detector,
+    },
     output::Output,
     progress,
 };
 use anyhow::{Context, Error, Result};
 use clap::Args;
 use realnet::{
-    BoundingBox, Detection, Detector, DetectorOptions, Stage,
+    BoundingBox, Detection, DetectorOptions, Stage,
     results::{Record, StageMs},
     source::{self, SourceFrame, SourceOptions},
 };
@@ -61,7 +64,7 @@ struct LookArgs {
     #[arg(long, value_name = "N", default_value_t = 300)]
     max_det: usize,
     /// Least width and height of a box, in pixels of the frame.
-    #[arg(long, value_name = "PX", default_value_t = 0.0)]
+    #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = parse_side, allow_hyphen_values = true)]
     min_size: f32,
     /// Only these classes, by name or number.
     #[arg(long, value_name = "CLASS,…", value_delimiter = ',')]
@@ -127,7 +130,7 @@ pub(crate) fn run(args: &DetectArgs) -> Result<Outcome> {
     let input = SourceOptions { fps: args.input.fps, size: args.input.size, ..Default::default() };
     let mut source = source::open(&args.source, &input).or_bad_input()?;
     interrupt::stop_on_interrupt(&source);
-    let mut detector = Detector::new(model, &args.engine.start(), options).or_bad_input()?;
+    let mut detector = start_detector(&args.model, model, &args.engine.start(), options)?;
     let names = detector.names().to_vec();
     let mut saver = Saver::new(&args.save, &source, &names)?;
     let mut output = Output::stdout();
@@ -220,6 +223,10 @@ fn describe(shot: &SourceFrame, found: &[Detection], names: &[String], ms: &Stag
 
 /// The directory that results go to.
 pub(crate) fn make_directory(path: &std::path::Path) -> Result<()> {
+    // The system's `File exists` would say less.
+    if path.is_file() {
+        anyhow::bail!("{} is a file, not a directory for results", path.display());
+    }
     std::fs::create_dir_all(path)
         .with_context(|| format!("cannot make the directory {}", path.display()))
 }

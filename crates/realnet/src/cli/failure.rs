@@ -77,8 +77,9 @@ pub(crate) fn say(message: impl fmt::Display) {
 
 /// An error with its causes, unless a cause is already part of its words.
 pub(crate) fn report(error: &Error) {
-    let mut text = error.to_string();
-    for cause in error.chain().skip(1).map(ToString::to_string) {
+    // Some decoders end their words with line feeds.
+    let mut text = error.to_string().trim_end().to_owned();
+    for cause in error.chain().skip(1).map(|cause| cause.to_string().trim_end().to_owned()) {
         if !text.contains(&cause) {
             text = format!("{text}: {cause}");
         }

@@ -2,7 +2,7 @@
 
 use super::failure::{OrBadInput, bad_input};
 use anyhow::Result;
-use realnet::DetectorModel;
+use realnet::{DetectError, Detector, DetectorModel, DetectorOptions, Runtime};
 use std::path::Path;
 
 /// `640` or `640x384` (width x height) as (width, height).
@@ -35,6 +35,14 @@ pub(crate) fn parse_positive(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("'{text}' is not a number above 0"))
 }
 
+/// A length in pixels, 0 or more.
+pub(crate) fn parse_side(text: &str) -> Result<f32, String> {
+    text.parse::<f32>()
+        .ok()
+        .filter(|side| side.is_finite() && *side >= 0.0)
+        .ok_or_else(|| format!("'{text}' is not a number of pixels, 0 or more"))
+}
+
 /// `x0,y0,x1,y1` in pixels.
 pub(crate) fn parse_box(text: &str) -> Result<realnet::BoundingBox, String> {
     let edges: Vec<f32> = text.split(',').map_while(|part| part.trim().parse().ok()).collect();
@@ -50,6 +58,20 @@ pub(crate) fn parse_box(text: &str) -> Result<realnet::BoundingBox, String> {
 /// Reads a model file.
 pub(crate) fn open_model(path: &Path) -> Result<DetectorModel> {
     DetectorModel::open(path).or_bad_input()
+}
+
+/// Brings a model, read from `path`, to an engine.
+pub(crate) fn start_detector(
+    path: &Path,
+    model: DetectorModel,
+    runtime: &Runtime,
+    options: DetectorOptions,
+) -> Result<Detector> {
+    Detector::new(model, runtime, options).map_err(|error| match error {
+        // An engine does not know from which file its network came.
+        DetectError::Engine(reason) => bad_input(format!("{}: {reason}", path.display())),
+        error => bad_input(error),
+    })
 }
 
 /// Class ids from a list of names or numbers.
@@ -90,6 +112,9 @@ mod tests {
         assert!(parse_share("0.25").is_ok());
         for bad in ["-0.1", "1.5", "nan", "inf", "x"] {
             assert!(parse_share(bad).is_err(), "{bad}");
+        }
+        for bad in ["-1", "nan", "inf", "x"] {
+            assert!(parse_side(bad).is_err(), "{bad}");
         }
         assert!(parse_box("1,2,3.5,4").is_ok());
         for bad in ["1,2,3", "1,2,3,4,5", "3,2,1,4", "1,2,x,4", "nan,0,1,1"] {

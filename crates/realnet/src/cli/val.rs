@@ -5,14 +5,14 @@ use super::{
     engine_args::EngineArgs,
     failure::{OrBadInput, Outcome, bad_input, report, say},
     interrupt,
-    model_args::{open_model, parse_share, parse_size},
+    model_args::{open_model, parse_share, parse_size, start_detector},
     output::Output,
     progress,
 };
 use anyhow::{Error, Result};
 use clap::Args;
 use realnet::{
-    BoundingBox, Detection, Detector, DetectorOptions, Stage,
+    BoundingBox, Detection, DetectorOptions, Stage,
     datasets::{CocoDataset, YoloDataset, coco::to_box},
     eval::{
         self, CocoOptions, ConfusionOptions, GroundTruth, Prediction, Report, confidence_curves,
@@ -214,7 +214,7 @@ pub(crate) fn run(args: &ValArgs) -> Result<Outcome> {
     if let Some(directory) = &args.save {
         make_directory(directory)?;
     }
-    let mut detector = Detector::new(model, &args.engine.start(), options).or_bad_input()?;
+    let mut detector = start_detector(&args.model, model, &args.engine.start(), options)?;
     if args.single_cls {
         data.names = vec!["object".to_owned()];
         data.category_ids = vec![0];

@@ -50,6 +50,15 @@ impl Saver {
         for directory in [&args.save, &args.save_txt].into_iter().flatten() {
             make_directory(directory)?;
         }
+        // Written at the end: what stands in its way is to be known before the work.
+        if let Some(path) = &args.save_coco {
+            if path.is_dir() {
+                anyhow::bail!("{} is a directory, not a file for results", path.display());
+            }
+            if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+                make_directory(folder)?;
+            }
+        }
         let pictures = match &args.save {
             Some(directory) => Some((directory.clone(), Annotator::new(names.to_vec())?)),
             None => None,
