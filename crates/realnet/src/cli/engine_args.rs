@@ -3,7 +3,7 @@
 use super::failure::say;
 use clap::{Args, ValueEnum};
 use realnet::{EngineChoice, Provider, Runtime, RuntimeOptions, find_ort_libraries};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Engine")]
@@ -37,6 +37,13 @@ enum ProviderFlag {
     Openvino,
 }
 
+/// The library that `--ort-dylib` names. The system's loader looks for a bare name
+/// in its own folders only: a file here gets its full path.
+pub(crate) fn library_file(path: &Path) -> PathBuf {
+    let full = if path.is_file() { std::path::absolute(path).ok() } else { None };
+    full.unwrap_or_else(|| path.to_owned())
+}
+
 impl EngineArgs {
     /// Starts the engine, and says so in one line when it is not the one asked for.
     pub(crate) fn start(&self) -> Runtime {
@@ -47,7 +54,7 @@ impl EngineArgs {
             (EngineFlag::Rten, _) => EngineChoice::Rten,
         };
         let ort_libraries = match (&self.ort_dylib, choice) {
-            (Some(path), _) => vec![path.clone()],
+            (Some(path), _) => vec![library_file(path)],
             (None, EngineChoice::Rten) => Vec::new(),
             (None, _) => find_ort_libraries(),
         };

@@ -1,6 +1,6 @@
 //! `realnet engines`.
 
-use super::{failure::Outcome, output::Output};
+use super::{engine_args::library_file, failure::Outcome, output::Output};
 use anyhow::Result;
 use clap::Args;
 use realnet::find_ort_libraries;
@@ -20,7 +20,7 @@ pub(crate) struct EnginesArgs {
 
 pub(crate) fn run(args: &EnginesArgs) -> Result<Outcome> {
     let paths = match &args.ort_dylib {
-        Some(path) => vec![path.clone()],
+        Some(path) => vec![library_file(path)],
         None => find_ort_libraries(),
     };
     let probes: Vec<_> = paths.iter().map(|path| (path, OrtLibrary::probe(path))).collect();

@@ -2,7 +2,7 @@
 
 use crate::{
     cases::{Bench, Case, run},
-    common::{realnet, shared, without_ms},
+    common::{command, finish, realnet, shared, without_ms},
 };
 
 #[test]
@@ -136,4 +136,12 @@ fn broken_ort_libraries_fall_back_with_one_line() {
         assert_eq!((&entry["path"], &entry["usable"]), (&library.into(), &false.into()));
         assert!(entry["reason"].as_str().unwrap().contains(says), "{value}");
     }
+    // A bare name is a file here, not one in the folders of the system's loader.
+    let args = ["engines", "--json", "--ort-dylib", "zero.so"];
+    let run = finish(command().args(args).current_dir(bench.path("."))).quiet();
+    let value: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    let entry = &value["ort"]["libraries"][0];
+    assert!(entry["path"].as_str().unwrap().ends_with("/zero.so"), "{value}");
+    let says = if cfg!(target_os = "linux") { "file too short" } else { "" };
+    assert!(entry["reason"].as_str().unwrap().contains(says), "{value}");
 }
