@@ -1,6 +1,9 @@
 //! Letterboxing: a picture of any shape on a network's fixed input.
 
-use crate::{VisionError, resize::RowResizer};
+use crate::{
+    VisionError,
+    resize::{RowResizer, shares},
+};
 use realnet_core::{BoundingBox, Frame, PixelFormat};
 
 /// A rectangle of whole pixels inside a frame.
@@ -190,10 +193,7 @@ impl Letterboxer {
                     PixelFormat::Rgb8 => &planes[channel * scaled_width..][..scaled_width],
                     PixelFormat::Grey8 => planes,
                 };
-                let target = &mut input[channel * plane + start..][..scaled_width];
-                for (value, &byte) in target.iter_mut().zip(source) {
-                    *value = f32::from(byte) / 255.0;
-                }
+                shares(source, &mut input[channel * plane + start..][..scaled_width]);
             }
         });
         Ok(letterbox)

@@ -139,11 +139,39 @@ fn resize_row_portable<const CHANNELS: usize>(
 }
 
 /// Vertical pass: two 15-bit rows to one of bytes.
-fn blend(upper: &[i16], lower: &[i16], [a, b]: [i16; 2], out: &mut [u8]) {
-    let high = |value: i16, weight: i16| (i32::from(value) * i32::from(weight)) >> 16;
+fn blend(upper: &[i16], lower: &[i16], weights: [i16; 2], out: &mut [u8]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: AVX2 was found.
+        return unsafe { x86::blend(upper, lower, weights, out) };
+    }
+    blend_portable(upper, lower, weights, out);
+}
+
+#[inline(always)]
+fn blend_portable(upper: &[i16], lower: &[i16], [a, b]: [i16; 2], out: &mut [u8]) {
+    // All in 16 bits, so that compilers find the instruction for the upper half
+    // of a product. A row of weight 0 may hold stale values, but 0 times them is 0.
+    let high = |value: i16, weight: i16| ((i32::from(value) * i32::from(weight)) >> 16) as i16;
     for ((out, &u), &l) in out.iter_mut().zip(upper).zip(lower) {
-        // A row of weight 0 may hold stale values, but 0 times them is 0.
         *out = ((high(u, a) + high(l, b) + 2) >> 2).clamp(0, 255) as u8;
+    }
+}
+
+/// Bytes as shares of 255.
+pub(crate) fn shares(bytes: &[u8], out: &mut [f32]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: AVX2 was found.
+        return unsafe { x86::shares(bytes, out) };
+    }
+    shares_portable(bytes, out);
+}
+
+#[inline(always)]
+fn shares_portable(bytes: &[u8], out: &mut [f32]) {
+    for (value, &byte) in out.iter_mut().zip(bytes) {
+        *value = f32::from(byte) / 255.0;
     }
 }
 
@@ -160,6 +188,18 @@ mod x86 {
         }
         // SAFETY: AVX2 was found above, and `out` holds three planes.
         unsafe { resize_row_rgb_avx2(row, columns, out) }
+    }
+
+    /// The portable code, compiled for wider registers.
+    #[target_feature(enable = "avx2")]
+    pub(super) fn blend(upper: &[i16], lower: &[i16], weights: [i16; 2], out: &mut [u8]) {
+        super::blend_portable(upper, lower, weights, out);
+    }
+
+    /// The portable code, compiled for wider registers.
+    #[target_feature(enable = "avx2")]
+    pub(super) fn shares(bytes: &[u8], out: &mut [f32]) {
+        super::shares_portable(bytes, out);
     }
 
     /// # Safety
