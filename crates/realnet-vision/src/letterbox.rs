@@ -2,7 +2,7 @@
 
 use crate::{
     VisionError,
-    resize::{RowResizer, shares},
+    resize::{Filter, Resizer, shares},
 };
 use realnet_core::{BoundingBox, Frame, PixelFormat};
 
@@ -122,19 +122,20 @@ impl Letterbox {
 pub struct Letterboxer {
     width: u32,
     height: u32,
-    rows: RowResizer,
+    rows: Resizer,
 }
 
 impl Letterboxer {
-    /// For a network with an input of `width` x `height` pixels.
+    /// For a network with an input of `width` x `height` pixels; `filter` makes the
+    /// frame fit.
     ///
     /// # Errors
     /// [`VisionError::EmptyTarget`] when a side is 0.
-    pub fn new(width: u32, height: u32) -> Result<Self, VisionError> {
+    pub fn new(width: u32, height: u32, filter: Filter) -> Result<Self, VisionError> {
         if width == 0 || height == 0 {
             return Err(VisionError::EmptyTarget { width, height });
         }
-        Ok(Self { width, height, rows: RowResizer::default() })
+        Ok(Self { width, height, rows: Resizer::new(filter) })
     }
 
     /// The network's input size, (width, height).
@@ -226,7 +227,7 @@ mod tests {
 
     #[test]
     fn bars_are_grey_and_the_picture_is_scaled() {
-        let mut letterboxer = Letterboxer::new(8, 8).unwrap();
+        let mut letterboxer = Letterboxer::new(8, 8, Filter::default()).unwrap();
         let frame = Frame::grey8(Stamp::ZERO, 16, 8, vec![255; 128]).unwrap();
         let mut input = vec![-1.0; 3 * 64];
         let letterbox = letterboxer.run(&frame, None, &mut input).unwrap();
@@ -242,7 +243,7 @@ mod tests {
     #[test]
     fn bad_sizes_are_refused() {
         let frame = Frame::grey8(Stamp::ZERO, 4, 4, vec![0; 16]).unwrap();
-        let mut letterboxer = Letterboxer::new(8, 8).unwrap();
+        let mut letterboxer = Letterboxer::new(8, 8, Filter::default()).unwrap();
         let region = Region { x: 3, y: 0, width: 2, height: 2 };
         assert!(matches!(
             letterboxer.run(&frame, Some(region), &mut [0.0; 192]),
@@ -254,7 +255,7 @@ mod tests {
             letterboxer.run(&frame, None, &mut [0.0; 191]),
             Err(VisionError::Output { expected: 192, found: 191 })
         ));
-        assert!(Letterboxer::new(0, 8).is_err());
+        assert!(Letterboxer::new(0, 8, Filter::default()).is_err());
     }
 
     #[test]
@@ -267,7 +268,7 @@ mod tests {
             .collect();
         let crop = Frame::rgb8(Stamp::ZERO, 20, 22, crop).unwrap();
         let (mut a, mut b) = (vec![0.0; 3 * 256], vec![0.0; 3 * 256]);
-        let mut letterboxer = Letterboxer::new(16, 16).unwrap();
+        let mut letterboxer = Letterboxer::new(16, 16, Filter::default()).unwrap();
         letterboxer.run(&frame, Some(region), &mut a).unwrap();
         letterboxer.run(&crop, None, &mut b).unwrap();
         assert_eq!(a, b);

@@ -7,10 +7,10 @@
 //!
 //! ```
 //! use realnet_core::{Frame, Stamp};
-//! use realnet_vision::Letterboxer;
+//! use realnet_vision::{Filter, Letterboxer};
 //!
 //! let frame = Frame::rgb8(Stamp::ZERO, 64, 32, vec![200; 64 * 32 * 3])?;
-//! let mut letterboxer = Letterboxer::new(32, 32)?;
+//! let mut letterboxer = Letterboxer::new(32, 32, Filter::default())?;
 //! let mut input = vec![0.0; 3 * 32 * 32]; // planar RGB, 0 to 1
 //! let letterbox = letterboxer.run(&frame, None, &mut input)?;
 //! assert_eq!((letterbox.left(), letterbox.top()), (0, 8)); // grey bars above and below
@@ -19,9 +19,10 @@
 
 mod letterbox;
 mod resize;
+mod triangle;
 
 pub use letterbox::{Letterbox, Letterboxer, Region};
-pub use resize::resize;
+pub use resize::{Filter, resize};
 
 use thiserror::Error;
 

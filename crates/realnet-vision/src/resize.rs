@@ -6,7 +6,7 @@
 //! rounded by 2 bits. There is no low-pass filter; this is what detectors of the
 //! YOLO family are trained with.
 
-use crate::{Region, VisionError};
+use crate::{Region, VisionError, triangle::TriangleResizer};
 use realnet_core::{Frame, PixelFormat};
 
 /// One weight step: OpenCV's `INTER_RESIZE_COEF_SCALE`.
@@ -255,19 +255,65 @@ mod x86 {
     }
 }
 
-/// The whole of `frame` resized to `width` x `height`, as OpenCV's `resize` with
-/// `INTER_LINEAR` does it. Keeps stamp and pixel format.
+/// How a picture is made smaller or larger.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Filter {
+    /// A triangle as wide as the reduction (Pillow's `BILINEAR`): no aliasing.
+    #[default]
+    Triangle,
+    /// Two neighbours, whatever the reduction (OpenCV's `INTER_LINEAR`, bit by
+    /// bit): what Ultralytics' own programs do.
+    Linear,
+}
+
+/// One of the two resizers.
+#[derive(Debug)]
+pub(crate) enum Resizer {
+    Triangle(TriangleResizer),
+    Linear(RowResizer),
+}
+
+impl Resizer {
+    pub(crate) fn new(filter: Filter) -> Self {
+        match filter {
+            Filter::Triangle => Self::Triangle(TriangleResizer::default()),
+            Filter::Linear => Self::Linear(RowResizer::default()),
+        }
+    }
+
+    /// See [`RowResizer::run`].
+    pub(crate) fn run(
+        &mut self,
+        frame: &Frame,
+        region: Region,
+        size: (u32, u32),
+        sink: impl FnMut(usize, &[u8]),
+    ) {
+        match self {
+            Self::Triangle(resizer) => resizer.run(frame, region, size, sink),
+            Self::Linear(resizer) => resizer.run(frame, region, size, sink),
+        }
+    }
+}
+
+/// The whole of `frame` resized to `width` x `height`. Keeps stamp and pixel
+/// format.
 ///
 /// # Errors
 /// [`VisionError::EmptyTarget`] when a target side is 0.
-pub fn resize(frame: &Frame, width: u32, height: u32) -> Result<Frame, VisionError> {
+pub fn resize(
+    frame: &Frame,
+    width: u32,
+    height: u32,
+    filter: Filter,
+) -> Result<Frame, VisionError> {
     if width == 0 || height == 0 {
         return Err(VisionError::EmptyTarget { width, height });
     }
     let channels = frame.format().channels();
     let width_px = width as usize;
     let mut data = vec![0; width_px * height as usize * channels];
-    RowResizer::default().run(frame, Region::whole(frame), (width, height), |y, planes| {
+    Resizer::new(filter).run(frame, Region::whole(frame), (width, height), |y, planes| {
         let row = &mut data[y * width_px * channels..][..width_px * channels];
         for (channel, plane) in planes.chunks_exact(width_px).enumerate() {
             row.iter_mut().skip(channel).step_by(channels).zip(plane).for_each(|(o, v)| *o = *v);
@@ -303,7 +349,7 @@ mod tests {
     fn equals_opencv_bit_by_bit() {
         let frame = noise(321, 243, 3, 7);
         for (width, height, expected) in OPENCV {
-            let resized = resize(&frame, width, height).unwrap();
+            let resized = resize(&frame, width, height, Filter::Linear).unwrap();
             let fingerprint =
                 resized.data().iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {
                     (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
@@ -321,7 +367,7 @@ mod tests {
     #[test]
     fn halving_is_the_mean_of_four() {
         let frame = noise(64, 48, 3, 7);
-        let half = resize(&frame, 32, 24).unwrap();
+        let half = resize(&frame, 32, 24, Filter::Linear).unwrap();
         for y in 0..24usize {
             for x in 0..32usize {
                 for c in 0..3 {
@@ -339,14 +385,14 @@ mod tests {
     fn same_size_changes_nothing() {
         for channels in [1, 3] {
             let frame = noise(37, 11, channels, 3);
-            assert_eq!(resize(&frame, 37, 11).unwrap(), frame);
+            assert_eq!(resize(&frame, 37, 11, Filter::Linear).unwrap(), frame);
         }
     }
 
     #[test]
     fn empty_target_is_refused() {
         assert!(matches!(
-            resize(&noise(4, 4, 1, 1), 0, 3),
+            resize(&noise(4, 4, 1, 1), 0, 3, Filter::Linear),
             Err(VisionError::EmptyTarget { width: 0, height: 3 })
         ));
     }
@@ -360,13 +406,13 @@ mod tests {
             (w, h) in (1u32..90, 1u32..20), (tw, th) in (1u32..70, 1u32..20), seed in any::<u32>()
         ) {
             let frame = noise(w, h, 3, seed);
-            let rgb = resize(&frame, tw, th).unwrap();
+            let rgb = resize(&frame, tw, th, Filter::Linear).unwrap();
             for channel in 0..3 {
                 let plane = |f: &Frame| -> Vec<u8> {
                     f.data().iter().skip(channel).step_by(3).copied().collect()
                 };
                 let grey = Frame::grey8(Stamp::ZERO, w, h, plane(&frame)).unwrap();
-                let small = resize(&grey, tw, th).unwrap();
+                let small = resize(&grey, tw, th, Filter::Linear).unwrap();
                 prop_assert_eq!(small.data(), &plane(&rgb)[..]);
             }
         }

@@ -33,3 +33,4 @@ pub use realnet_io::{annotate, datasets, picture, results, source, video};
 pub use realnet_nn::detector::{DetectError, Detector, DetectorModel, DetectorOptions, Stage};
 pub use realnet_nn::engine::{EngineChoice, Provider, Runtime, RuntimeOptions};
 pub use realnet_nn::{onnx, weights, yolov5};
+pub use realnet_vision::Filter;

@@ -15,7 +15,7 @@ pub use model::{DetectorModel, ModelError};
 use crate::engine::{Engine, EngineChoice, EngineError, Runtime, RuntimeOptions};
 use decode::{Candidate, Decoder};
 use realnet_core::{BoundingBox, Detection, Frame};
-use realnet_vision::{Letterbox, Letterboxer, Region, VisionError};
+use realnet_vision::{Filter, Letterbox, Letterboxer, Region, VisionError};
 use std::path::Path;
 use thiserror::Error;
 
@@ -28,6 +28,8 @@ pub struct DetectorOptions {
     /// Input size of a second network for [`Detector::detect_near`]; `None` looks
     /// at crops with the first one.
     pub region_size: Option<(u32, u32)>,
+    /// How a frame is fitted into the input.
+    pub filter: Filter,
     /// Least confidence, 0 to 1.
     pub confidence: f32,
     /// Boxes of one class that overlap by more than this are doubles, 0 to 1.
@@ -49,6 +51,7 @@ impl Default for DetectorOptions {
         Self {
             size: None,
             region_size: None,
+            filter: Filter::default(),
             confidence: 0.25,
             iou: 0.45,
             max_det: 300,
@@ -121,7 +124,7 @@ impl Looker {
         let engine = runtime.load(network)?;
         let (width, height) = engine.input_size();
         Ok(Self {
-            letterboxer: Letterboxer::new(width, height)?,
+            letterboxer: Letterboxer::new(width, height, options.filter)?,
             engine,
             decoder: Decoder {
                 layout,

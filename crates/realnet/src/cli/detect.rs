@@ -7,8 +7,8 @@ use super::{
     failure::{OrBadInput, Outcome, report},
     interrupt,
     model_args::{
-        open_model, parse_box, parse_classes, parse_positive, parse_share, parse_side, parse_size,
-        start_detector,
+        FilterFlag, open_model, parse_box, parse_classes, parse_positive, parse_share, parse_side,
+        parse_size, start_detector,
     },
     output::Output,
     progress,
@@ -54,6 +54,9 @@ struct LookArgs {
     /// Input size of the network: N or WIDTHxHEIGHT [default: the file's own, or 640].
     #[arg(long, value_name = "N|WxH", value_parser = parse_size)]
     imgsz: Option<(u32, u32)>,
+    /// How a frame is fitted into the network's input.
+    #[arg(long, value_enum, default_value_t = FilterFlag::Triangle)]
+    resize: FilterFlag,
     /// Least confidence, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.25, value_parser = parse_share)]
     conf: f32,
@@ -119,6 +122,7 @@ pub(crate) fn run(args: &DetectArgs) -> Result<Outcome> {
     let options = DetectorOptions {
         size: args.look.imgsz,
         region_size: args.look.near.is_some().then_some(args.look.near_imgsz),
+        filter: args.look.resize.into(),
         confidence: args.look.conf,
         iou: args.look.iou,
         max_det: args.look.max_det,

@@ -43,6 +43,24 @@ pub(crate) fn parse_side(text: &str) -> Result<f32, String> {
         .ok_or_else(|| format!("'{text}' is not a number of pixels, 0 or more"))
 }
 
+/// How a frame is fitted into the network's input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum FilterFlag {
+    /// A triangle as wide as the reduction: no aliasing.
+    Triangle,
+    /// Two neighbours, as OpenCV and Ultralytics' programs do.
+    Linear,
+}
+
+impl From<FilterFlag> for realnet::Filter {
+    fn from(flag: FilterFlag) -> Self {
+        match flag {
+            FilterFlag::Triangle => Self::Triangle,
+            FilterFlag::Linear => Self::Linear,
+        }
+    }
+}
+
 /// `x0,y0,x1,y1` in pixels.
 pub(crate) fn parse_box(text: &str) -> Result<realnet::BoundingBox, String> {
     let edges: Vec<f32> = text.split(',').map_while(|part| part.trim().parse().ok()).collect();

@@ -5,7 +5,7 @@ use super::{
     engine_args::EngineArgs,
     failure::{OrBadInput, Outcome, bad_input, report, say},
     interrupt,
-    model_args::{open_model, parse_share, parse_size, start_detector},
+    model_args::{FilterFlag, open_model, parse_share, parse_size, start_detector},
     output::Output,
     progress,
 };
@@ -44,6 +44,9 @@ pub(crate) struct ValArgs {
     /// Input size of the network: N or WIDTHxHEIGHT [default: the file's own, or 640].
     #[arg(long, value_name = "N|WxH", value_parser = parse_size)]
     imgsz: Option<(u32, u32)>,
+    /// How a frame is fitted into the network's input.
+    #[arg(long, value_enum, default_value_t = FilterFlag::Triangle)]
+    resize: FilterFlag,
     /// Least confidence, 0 to 1; low, because the curves need the weak boxes too.
     #[arg(long, value_name = "SHARE", default_value_t = 0.001, value_parser = parse_share)]
     conf: f32,
@@ -204,6 +207,7 @@ pub(crate) fn run(args: &ValArgs) -> Result<Outcome> {
     let classes = class_map(model.names(), &data.names, args.single_cls)?;
     let options = DetectorOptions {
         size: args.imgsz,
+        filter: args.resize.into(),
         confidence: args.conf,
         iou: args.iou,
         max_det: args.max_det,
