@@ -367,3 +367,122 @@ fn normal_body(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lm::moved;
+    use realnet_core::nalgebra::{Matrix3, Point3, Vector3};
+
+    /// Points before the camera (one behind it), rays with errors up to 6 px.
+    fn soa(count: usize) -> Soa {
+        let wave = |i: usize, step: f64| (1.0 + i as f64 * step).sin();
+        let points: Vec<Point3<f64>> = (0..count)
+            .map(|i| {
+                let depth = if i == 5 { -3.0 } else { 4.0 + 2.0 * wave(i, 0.7) };
+                Point3::new(2.0 * wave(i, 1.9), 1.5 * wave(i, 2.3), depth)
+            })
+            .collect();
+        let rays: Vec<[f64; 2]> = points
+            .iter()
+            .enumerate()
+            .map(|(i, p)| [p.x / p.z + 0.012 * wave(i, 3.1), p.y / p.z + 0.004 * wave(i, 4.7)])
+            .collect();
+        let mut soa = Soa::default();
+        soa.fill(&Correspondences::new(&points, &rays, [500.0, 430.0]).unwrap(), |_| true);
+        soa
+    }
+
+    fn pose() -> Rt {
+        let start = Rt { r: Matrix3::identity(), t: Vector3::zeros() };
+        moved(&start, &Vector6::new(2e-3, -1e-3, 3e-3, 1e-3, 2e-3, -1e-3))
+    }
+
+    #[test]
+    fn costs_agree_with_the_residuals() {
+        for count in [1, 7, 8, 9, 45, 200] {
+            let soa = soa(count);
+            assert_eq!(soa.residuals(&pose()).count(), count);
+            let expected: f64 = soa
+                .residuals(&pose())
+                .map(|r| if r.depth > 0.0 && r.squared < 16.0 { r.squared } else { 16.0 })
+                .sum();
+            let cost = soa.cost(&pose(), 4.0, f64::INFINITY);
+            assert!((cost - expected).abs() < 1e-9 * expected, "{count}: {cost} {expected}");
+            let normal = soa.normal(&pose(), Loss { huber: f64::INFINITY, cutoff: 4.0 });
+            assert!((normal.cost - expected).abs() < 1e-9 * expected, "{count}: {}", normal.cost);
+            let within = soa.residuals(&pose()).filter(|r| r.depth > 0.0 && r.squared < 16.0);
+            assert_eq!(normal.within, within.count());
+            // Half of the cost is enough to give up at half of it.
+            assert!(soa.cost(&pose(), 4.0, 0.5 * expected) >= 0.5 * expected);
+        }
+        assert_eq!(soa(8).residuals(&pose()).filter(|r| r.depth <= 0.0).count(), 1);
+    }
+
+    #[test]
+    fn the_gradient_is_the_slope_of_the_cost() {
+        let soa = soa(40);
+        for loss in [
+            Loss { huber: f64::INFINITY, cutoff: 1e6 },
+            Loss { huber: 2.0, cutoff: 1e6 },
+            Loss { huber: 1.0, cutoff: 3.0 },
+        ] {
+            let here = soa.normal(&pose(), loss);
+            for axis in 0..6 {
+                let at = |size: f64| {
+                    let mut step = Vector6::zeros();
+                    step[axis] = size;
+                    soa.normal(&moved(&pose(), &step), loss).cost
+                };
+                let slope = (at(1e-7) - at(-1e-7)) / 2e-7;
+                let analytic = 2.0 * here.gradient[axis];
+                let scale = here.hessian[(axis, axis)].sqrt() * here.cost.sqrt();
+                assert!((slope - analytic).abs() < 1e-5 * scale, "{axis}: {slope} {analytic}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_hessian_is_that_of_gauss_and_newton() {
+        // Without residuals the second derivative of the cost is 2 J^T J.
+        let wave = |i: usize, step: f64| (1.0 + i as f64 * step).sin();
+        let points: Vec<Point3<f64>> =
+            (0..20).map(|i| Point3::new(wave(i, 1.9), wave(i, 2.3), 4.0 + wave(i, 0.7))).collect();
+        let exact: Vec<[f64; 2]> = points.iter().map(|p| [p.x / p.z, p.y / p.z]).collect();
+        let mut soa = Soa::default();
+        soa.fill(&Correspondences::new(&points, &exact, [500.0, 430.0]).unwrap(), |_| true);
+        let loss = Loss { huber: f64::INFINITY, cutoff: 1e6 };
+        let here = Rt::identity();
+        let normal = soa.normal(&here, loss);
+        assert!(normal.cost < 1e-20);
+        for axis in 0..6 {
+            let gradient = |size: f64| {
+                let mut step = Vector6::zeros();
+                step[axis] = size;
+                soa.normal(&moved(&here, &step), loss).gradient
+            };
+            let column = (gradient(1e-6) - gradient(-1e-6)) / 2e-6;
+            let difference = (column - normal.hessian.column(axis)).amax();
+            assert!(difference < 1e-6 * normal.hessian.amax(), "{axis}: {difference:e}");
+        }
+    }
+
+    /// The portable loops and those that this machine takes give the same bits.
+    #[test]
+    fn wide_registers_change_nothing() {
+        for count in [3, 8, 200] {
+            let soa = soa(count);
+            let rows = soa.rows(&pose());
+            let padding = (soa.blocks.len() * LANES - count) as f64 * 9.0;
+            let portable = cost_body(&soa.blocks, &rows, 9.0, f64::INFINITY) - padding;
+            assert_eq!(soa.cost(&pose(), 3.0, f64::INFINITY).to_bits(), portable.to_bits());
+            let loss = Loss { huber: 1.0, cutoff: 3.0 };
+            let mut sums = Sums::default();
+            normal_body(&soa.blocks, &rows, soa.focal, loss, &mut sums);
+            let (portable, taken) = (sums.finish(count, loss), soa.normal(&pose(), loss));
+            assert_eq!(portable.hessian, taken.hessian);
+            assert_eq!(portable.gradient, taken.gradient);
+            assert_eq!(portable.cost.to_bits(), taken.cost.to_bits());
+        }
+    }
+}
