@@ -1,9 +1,17 @@
-//! Pixels: the kernels that prepare a picture for a network.
+//! Pixels: the kernels that prepare a picture for a network, and those that say
+//! how it moves.
 //!
 //! Every kernel works on 8-bit pictures in the fixed point of OpenCV, so that a
 //! network sees the same numbers it was trained on, and owns its scratch, so
 //! that nothing is allocated per frame once it has seen the first one. Vector
 //! code is chosen at run time and returns exactly what the portable code does.
+//!
+//! | for | use |
+//! |---|---|
+//! | a network's input | [`Letterboxer`], [`resize`] |
+//! | halved pictures | [`Pyramid`] |
+//! | corners worth tracking (Shi-Tomasi) | [`CornerDetector`] |
+//! | where they are in the next picture (Lucas-Kanade) | [`FlowTracker`], or [`LucasKanade`] between any two pyramids |
 //!
 //! ```
 //! use realnet_core::{Frame, Stamp};
@@ -17,11 +25,18 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod corners;
+mod flow;
 mod letterbox;
+mod pyramid;
 mod resize;
+mod simd;
 mod triangle;
 
+pub use corners::{Corner, CornerDetector, CornerMask, CornerOptions};
+pub use flow::{FlowOptions, FlowTracker, LucasKanade, Track, TrackStatus, Window};
 pub use letterbox::{Letterbox, Letterboxer, Region};
+pub use pyramid::{Level, Pyramid};
 pub use resize::{Filter, resize};
 
 use thiserror::Error;
@@ -54,5 +69,84 @@ pub enum VisionError {
         expected: usize,
         /// Values given.
         found: usize,
+    },
+}
+
+/// Why corners or flow could not be computed.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum FlowError {
+    /// An option is out of its range.
+    #[error("{option} is {value}, allowed is {allowed}")]
+    Option {
+        /// Its name.
+        option: &'static str,
+        /// What was given.
+        value: String,
+        /// Its range.
+        allowed: &'static str,
+    },
+    /// A side of the window is out of its range.
+    #[error(
+        "a window of {width}x{height} pixels; sides are {} to {}",
+        Window::SIDES.0,
+        Window::SIDES.1
+    )]
+    Window {
+        /// Pixels a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// A pyramid was used before a frame was put in.
+    #[error("the pyramid has no picture yet")]
+    NoPicture,
+    /// The two pictures are of different sizes.
+    #[error("from a picture of {}x{} to one of {}x{} pixels", from.0, from.1, to.0, to.1)]
+    Size {
+        /// Width and height of the first.
+        from: (u32, u32),
+        /// Width and height of the second.
+        to: (u32, u32),
+    },
+    /// A pyramid's borders are for another window.
+    #[error(
+        "a pyramid for windows of {}x{} pixels where the window is {}x{}",
+        found.0, found.1, expected.0, expected.1
+    )]
+    PyramidWindow {
+        /// Width and height of the tracker's window.
+        expected: (usize, usize),
+        /// Width and height of the pyramid's.
+        found: (usize, usize),
+    },
+    /// Not one initial position for each point.
+    #[error("{expected} points, but {found} initial positions")]
+    InitialLength {
+        /// Points.
+        expected: usize,
+        /// Initial positions.
+        found: usize,
+    },
+    /// The bytes of a mask do not fit its size.
+    #[error("a mask of {width}x{height} pixels has {expected} bytes, found {found}")]
+    MaskLength {
+        /// Pixels a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Bytes needed.
+        expected: usize,
+        /// Bytes given.
+        found: usize,
+    },
+    /// The mask is of another size than the picture.
+    #[error("a mask of {}x{} for a picture of {width}x{height} pixels", mask.0, mask.1)]
+    MaskSize {
+        /// Width and height of the mask.
+        mask: (u32, u32),
+        /// Pixels a row of the picture.
+        width: u32,
+        /// Rows of the picture.
+        height: u32,
     },
 }
