@@ -1,7 +1,9 @@
 """A frame in memory to boxes: RealNet against Python with OpenCV, NumPy, onnxruntime.
 
-Runs both sides interleaved, block by block, on the same ONNX file, frame and
-thread count, and prints the ratios of their medians. See docs/benchmarks.md.
+Runs the sides interleaved, block by block, on the same ONNX file, frame and
+thread count, and prints the ratios of their medians. "realnet-ort" resizes as the
+Python program does; "realnet-ort-triangle" is RealNet's default, which does more
+work to avoid aliasing. See docs/benchmarks.md.
 
     pip install -r bench/peers/detect/requirements.txt
     cargo build --release -p realnet --example detect_peer
@@ -16,6 +18,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import cv2
@@ -74,13 +77,16 @@ def main():
             ours = str(args.binary)
             sides = [
                 Side("python", [sys.executable, python, *common]),
-                Side("realnet-ort", [ours, *common, "--ort-dylib", dylib]),
-                Side("realnet-rten", [ours, *common]),
+                Side("realnet-ort", [ours, *common, "--ort-dylib", dylib, "--resize", "linear"]),
+                Side("realnet-ort-triangle", [ours, *common, "--ort-dylib", dylib]),
+                Side("realnet-rten", [ours, *common, "--resize", "linear"]),
             ]
             for side in sides:
                 side.run(args.frames)  # warm
             for _ in range(args.blocks):
                 for side in sides:
+                    # Idle threads of the side before still spin for a while.
+                    time.sleep(0.1)
                     side.times.append(statistics.median(side.run(args.frames)))
             by_name = {side.name: side for side in sides}
             row = {"model": Path(model).name, "threads": args.threads}
@@ -90,7 +96,11 @@ def main():
                     "peak_mb": round(side.last["peak_mb"], 1),
                     "boxes": len(side.last["boxes"]),
                 }
-            pairs = [("realnet-ort", "python"), ("realnet-rten", "realnet-ort")]
+            pairs = [
+                ("realnet-ort", "python"),
+                ("realnet-ort-triangle", "python"),
+                ("realnet-rten", "realnet-ort"),
+            ]
             for a, b in pairs:
                 ratios = sorted(x / y for x, y in zip(by_name[a].times, by_name[b].times))
                 row[f"{a} / {b}"] = {
@@ -98,10 +108,9 @@ def main():
                     "p10": round(ratios[len(ratios) // 10], 3),
                     "p90": round(ratios[-1 - len(ratios) // 10], 3),
                 }
-            for stage in ("pre", "infer", "post"):
-                row[f"realnet-ort {stage}_ms"] = round(
-                    statistics.median(by_name["realnet-ort"].last[stage]), 3
-                )
+            for name in ("realnet-ort", "realnet-ort-triangle", "realnet-rten"):
+                for stage in ("pre", "infer", "post"):
+                    row[name][f"{stage}_ms"] = round(statistics.median(by_name[name].last[stage]), 3)
             figures.append(row)
             print(json.dumps(row, indent=1))
             for side in sides:

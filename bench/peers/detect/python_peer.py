@@ -22,7 +22,8 @@ import onnxruntime as ort
 
 class Detector:
     def __init__(self, path, threads):
-        cv2.setNumThreads(threads)
+        # One thread for OpenCV: its pool would fight with the network's for the cores.
+        cv2.setNumThreads(1)
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1

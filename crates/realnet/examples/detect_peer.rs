@@ -6,7 +6,8 @@
 #![allow(clippy::print_stdout, reason = "the answer of this program")]
 
 use realnet::{
-    Detector, DetectorModel, DetectorOptions, EngineChoice, Frame, Runtime, RuntimeOptions, Stamp,
+    Detector, DetectorModel, DetectorOptions, EngineChoice, Filter, Frame, Runtime, RuntimeOptions,
+    Stamp,
 };
 use std::{error::Error, io::BufRead, path::Path, time::Instant};
 
@@ -28,7 +29,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err(note.into());
     }
     let model = DetectorModel::open(Path::new(&need("--model")?))?;
-    let mut detector = Detector::new(model, &runtime, DetectorOptions::default())?;
+    let filter = match flag("--resize").as_deref() {
+        Some("linear") => Filter::Linear,
+        _ => Filter::Triangle,
+    };
+    let options = DetectorOptions { filter, ..Default::default() };
+    let mut detector = Detector::new(model, &runtime, options)?;
     println!("ready");
     for line in std::io::stdin().lock().lines() {
         let frames: usize = line?.trim().parse()?;
