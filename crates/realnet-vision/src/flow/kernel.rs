@@ -15,9 +15,6 @@ const WEIGHT_BITS: u32 = 14;
 const INTENSITY_SHIFT: u32 = WEIGHT_BITS - 5;
 /// Columns that are worked on at once; rows of a patch are multiples of it.
 const STRIP: usize = 32;
-/// Rows after which 32-bit sums could overflow: two products of at most
-/// 8160 * 4080 a lane and row.
-const ROWS: usize = 32;
 
 /// Bilinear weights of a fractional position: upper left, upper right, lower
 /// left, lower right.
@@ -321,8 +318,12 @@ multiversion! {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{INTENSITY_SHIFT, Patch, ROWS, STRIP, Weights};
+    use super::{INTENSITY_SHIFT, Patch, STRIP, Weights};
     use std::arch::x86_64::*;
+
+    /// Rows after which 32-bit sums could overflow: two products of at most
+    /// 8160 * 4080 a lane and row.
+    const ROWS: usize = 32;
 
     const ROUND: i32 = 1 << (INTENSITY_SHIFT - 1);
     const SHIFT: i32 = INTENSITY_SHIFT as i32;
