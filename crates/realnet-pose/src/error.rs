@@ -119,7 +119,7 @@ pub enum PnpError {
         "{found} points lie just beyond the threshold of {threshold_px} px and {within} within: the noise is larger, or the points are not rigid"
     )]
     ThresholdTooSmall {
-        /// Points between the threshold and 1.41 of it.
+        /// Points between the threshold and 3.16 of it.
         found: usize,
         /// Points within it.
         within: usize,

@@ -1,7 +1,7 @@
 //! A pose with its deviation.
 
 use realnet_core::Pose;
-use realnet_core::nalgebra::{Matrix6, Vector6};
+use realnet_core::nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
 /// What gave the pose from which the last refinement started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +28,9 @@ pub struct Estimate {
     /// (Huber, "Robust Statistics", 1981, section 7.6), for the cut at the inlier
     /// threshold, and for points that occur more than once.
     pub covariance: Matrix6<f64>,
+    /// Mean of the inliers in the camera's frame, metres: the pivot about which
+    /// [`Estimate::mahalanobis_squared`] measures rotations.
+    pub center: Point3<f64>,
     /// Degrees of freedom of the variance of the residuals: twice the number of
     /// different inliers, less 6.
     pub dof: usize,
@@ -56,15 +59,33 @@ impl Estimate {
         (*camera_from_world * self.camera_from_world.inverse()).log()
     }
 
-    /// The squared Mahalanobis distance `xi^T C^-1 xi` of a pose. Infinite when
-    /// the covariance cannot be inverted.
+    /// The squared Mahalanobis distance of a pose. Infinite when the covariance
+    /// cannot be inverted.
+    ///
+    /// It is measured in `d = [u; w]` with `R' = exp(w) R`, `t' = c + exp(w) (t -
+    /// c) + u`: a rotation about the [`center`](Estimate::center) `c` of the
+    /// points, then a translation. To first order `u = v + w x c`, by which the
+    /// covariance is carried over. For points that are far away compared to their
+    /// extent the product of an error in depth and one in rotation would otherwise
+    /// exceed the error with which their middle is known.
     #[must_use]
     pub fn mahalanobis_squared(&self, camera_from_world: &Pose) -> f64 {
-        let xi = self.perturbation_to(camera_from_world);
+        let turn = camera_from_world.rotation() * self.camera_from_world.rotation().inverse();
+        let w = Pose::from_rotation(turn).log().fixed_rows::<3>(3).into_owned();
+        let c = self.center.coords;
+        let arm = self.camera_from_world.translation() - c;
+        let u = camera_from_world.translation() - c - turn * arm;
+        let d = Vector6::new(u.x, u.y, u.z, w.x, w.y, w.z);
+        let mut carry = Matrix6::identity();
+        for axis in 0..3 {
+            let column = Vector3::ith(axis, 1.0).cross(&c);
+            carry.fixed_view_mut::<3, 1>(0, 3 + axis).copy_from(&column);
+        }
+        let covariance = carry * self.covariance * carry.transpose();
         // Scaled to unit diagonal, so that metres and radians mix well.
-        let scale = self.covariance.diagonal().map(|variance| variance.max(0.0).sqrt().recip());
-        let correlation = Matrix6::from_fn(|r, c| self.covariance[(r, c)] * scale[r] * scale[c]);
-        let scaled = xi.component_mul(&scale);
+        let scale = covariance.diagonal().map(|variance| variance.max(0.0).sqrt().recip());
+        let correlation = Matrix6::from_fn(|r, c| covariance[(r, c)] * scale[r] * scale[c]);
+        let scaled = d.component_mul(&scale);
         match correlation.cholesky() {
             Some(factor) => scaled.dot(&factor.solve(&scaled)),
             None => f64::INFINITY,
@@ -117,6 +138,34 @@ fn f_survival_6(m: f64, dof: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Origin;
+
+    /// For small perturbations the distance is that of the twist.
+    #[test]
+    fn distances_agree_to_first_order() {
+        let covariance = Matrix6::from_fn(|r, c| if r == c { 2.0 } else { 0.1 * (r + c) as f64 });
+        let estimate = Estimate {
+            camera_from_world: Pose::exp(&Vector6::new(1.0, -2.0, 3.0, 0.3, 0.5, -0.4)),
+            covariance: covariance * covariance.transpose(),
+            center: Point3::new(0.4, -0.3, 5.0),
+            dof: 100,
+            rms_px: 1.0,
+            noise_px: 1.0,
+            inliers: 53,
+            iterations: 0,
+            steps: 0,
+            origin: Origin::Guess,
+        };
+        for axis in 0..6 {
+            let xi = Vector6::from_fn(|row, _| if row == axis { 1e-6 } else { 2e-7 });
+            let there = Pose::exp(&xi) * estimate.camera_from_world;
+            assert!((estimate.perturbation_to(&there) - xi).norm() < 1e-13);
+            let expected = xi.dot(&(estimate.covariance.try_inverse().unwrap() * xi));
+            let found = estimate.mahalanobis_squared(&there);
+            assert!((found - expected).abs() < 1e-5 * expected, "{axis}: {found} {expected}");
+        }
+        assert!(estimate.mahalanobis_squared(&estimate.camera_from_world) < 1e-25);
+    }
 
     /// Against tables of the F distribution, upper 5 % and 1 % points.
     #[test]

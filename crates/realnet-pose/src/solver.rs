@@ -16,9 +16,6 @@ use realnet_core::{CameraModel, Pose};
 
 /// Share of the cost that a full step of the final refinement may still gain.
 const TOLERANCE: f64 = 1e-9;
-/// Largest share of the number of inliers that may lie in the ring of equal area
-/// around the threshold. Noise of 1 / 2.7 of it puts 0.027 there.
-const RING: f64 = 0.05;
 
 /// Finds poses, with scratch that is kept from one problem to the next.
 #[derive(Clone, Debug)]
@@ -261,6 +258,7 @@ impl PnpSolver {
                 area: picture_area(problem, &self.indices),
                 threshold_px: loss.cutoff,
                 trials: found.iterations,
+                ring: squares.ring,
             };
             alone.needed()
         } else {
@@ -290,18 +288,9 @@ impl PnpSolver {
             let limit_px = WIDEST.sqrt() * loss.cutoff;
             return Err(PnpError::ReprojectionTooLarge { rms_px, limit_px });
         };
-        if ransac {
-            // Residuals that go on beyond the threshold: what lies within it is a
-            // choice of convenient points, not the noise.
-            let limit = RING * inliers as f64;
-            if squares.ring as f64 > limit + 2.0 * limit.sqrt() {
-                let (found, within) = (squares.ring, inliers);
-                return Err(PnpError::ThresholdTooSmall {
-                    found,
-                    within,
-                    threshold_px: loss.cutoff,
-                });
-            }
+        if ransac && squares.continues(problem.len()) {
+            let (found, within, threshold_px) = (squares.ring, inliers, loss.cutoff);
+            return Err(PnpError::ThresholdTooSmall { found, within, threshold_px });
         }
         let noise_px = noise.max(options.noise_floor_px);
         // What cutting at the threshold adds to the variance of the estimate: the
@@ -314,9 +303,11 @@ impl PnpSolver {
         let hessian = self.soa.normal(&minimum.pose, flat).hessian;
         let inverse =
             invert(&hessian).map_err(|ratio| PnpError::Degenerate { ratio, limit: CONDITION })?;
+        let middle = minimum.pose.r * extent.mean + minimum.pose.t;
         let estimate = Estimate {
             camera_from_world: minimum.pose.to_pose(),
             covariance: inverse * factor,
+            center: Point3::from(middle),
             dof: 2 * different - 6,
             rms_px,
             noise_px,
@@ -325,7 +316,7 @@ impl PnpSolver {
             steps: minimum.steps,
             origin: found.origin,
         };
-        let distance = (minimum.pose.r * extent.mean + minimum.pose.t).norm();
+        let distance = middle.norm();
         let rotation_rad = estimate.rotation_std();
         let translation_share = estimate.translation_std() / distance;
         let (rotation_limit, translation_limit) =

@@ -8,6 +8,12 @@ use realnet_core::nalgebra::{Matrix2, Matrix6, Point3, Vector2};
 /// Largest variance of a coordinate within the threshold as a share of its
 /// square: that of noise of 1 / 2.7 of the threshold. (Even filling has 0.25.)
 pub(crate) const WIDEST: f64 = 0.124;
+/// Largest share of the number of inliers that may lie in a ring around the
+/// threshold, for each time that its area holds that of the circle. Noise of 1 /
+/// 2.7 of the threshold puts 0.027 into the first.
+const RING: f64 = 0.05;
+/// Outer radius of the wide ring in thresholds, squared.
+const WIDE: f64 = 10.0;
 /// Natural logarithm of the number of matches by chance that are accepted.
 const LN_FALSE_ALARMS: f64 = -13.8;
 /// Smallest reciprocal condition of the scaled normal equations.
@@ -16,7 +22,9 @@ pub(crate) const CONDITION: f64 = 1e-12;
 /// Sums over the residuals within a threshold.
 pub(crate) struct Squares {
     pub(crate) count: usize,
-    /// Points in the ring around the threshold that has the area of the circle.
+    /// Points from the threshold to 1.41 of it: a ring of the circle's area.
+    narrow: usize,
+    /// Points from the threshold to 3.16 of it: nine times that area.
     pub(crate) ring: usize,
     /// Of the squared lengths.
     pub(crate) plain: f64,
@@ -31,15 +39,23 @@ pub(crate) struct Squares {
 
 impl Squares {
     pub(crate) fn of(soa: &Soa, pose: &Rt, huber: f64, cutoff: f64) -> Self {
-        let mut sums =
-            Self { count: 0, ring: 0, plain: 0.0, cut: 0.0, slope: 0.0, slope_squares: 0.0 };
+        let mut sums = Self {
+            count: 0,
+            narrow: 0,
+            ring: 0,
+            plain: 0.0,
+            cut: 0.0,
+            slope: 0.0,
+            slope_squares: 0.0,
+        };
         let (knee, limit) = (huber * huber, cutoff * cutoff);
         for residual in soa.residuals(pose) {
-            if !(residual.depth > 0.0 && residual.squared < 2.0 * limit) {
+            if !(residual.depth > 0.0 && residual.squared < WIDE * limit) {
                 continue;
             }
             if residual.squared >= limit {
                 sums.ring += 1;
+                sums.narrow += usize::from(residual.squared < 2.0 * limit);
                 continue;
             }
             sums.count += 1;
@@ -55,6 +71,19 @@ impl Squares {
             }
         }
         sums
+    }
+
+    /// Whether the residuals of `points` points go on beyond the threshold, so
+    /// that the points within are not those of one pose but a choice of the
+    /// convenient ones. Where the inliers are most of the points there is no such
+    /// choice, and others near them are a second motion.
+    pub(crate) fn continues(&self, points: usize) -> bool {
+        let too_many = |found: usize, times: f64| {
+            let limit = RING * times * self.count as f64;
+            found as f64 > limit + 2.0 * limit.sqrt()
+        };
+        5 * self.count < 3 * points
+            && (too_many(self.narrow, 1.0) || too_many(self.ring, WIDE - 1.0))
     }
 
     /// The variance of a coordinate as Huber's covariance takes it: the mean
@@ -104,7 +133,8 @@ impl Squares {
 /// How many points must agree so that it is not by chance.
 ///
 /// A wrong pose has a point within the threshold with probability `p = pi T^2 /
-/// area`; of `trials` poses through 3 points each, `trials C(n - 3, k - 3) p^(k -
+/// area`, or as the points in the ring around the threshold tell, if that is
+/// more; of `trials` poses through 3 points each, `trials C(n - 3, k - 3) p^(k -
 /// 3)` are expected to have `k` (the number of false alarms of Moisan and Stival,
 /// "A Probabilistic Criterion to Detect Rigid Point Matches", IJCV 2004).
 pub(crate) struct Chance {
@@ -113,12 +143,15 @@ pub(crate) struct Chance {
     pub(crate) area: f64,
     pub(crate) threshold_px: f64,
     pub(crate) trials: usize,
+    /// Points in the wide ring around the threshold.
+    pub(crate) ring: usize,
 }
 
 impl Chance {
     pub(crate) fn needed(&self) -> usize {
         let threshold = std::f64::consts::PI * self.threshold_px * self.threshold_px;
-        let p = (threshold / self.area).min(1.0);
+        let near = self.ring as f64 / (WIDE - 1.0) / self.points.max(1) as f64;
+        let p = (threshold / self.area).max(near).min(1.0);
         // Up to four poses a sample, and as many that local optimisation makes.
         let mut alarms = (8.0 * self.trials.max(100) as f64).ln();
         let mut needed = 3;
@@ -224,7 +257,8 @@ mod tests {
         let count = 1_000_000;
         let plain = square / weight * count as f64;
         let slope = count as f64;
-        let sums = Squares { count, ring: 0, plain, cut: plain, slope, slope_squares: slope };
+        let sums =
+            Squares { count, narrow: 0, ring: 0, plain, cut: plain, slope, slope_squares: slope };
         let noise = sums.noise(3.0).unwrap();
         assert!((noise - 1.0).abs() < 1e-4, "{noise}");
         assert!(sums.noise(f64::INFINITY).unwrap() < 0.98, "without the correction");
@@ -245,7 +279,7 @@ mod tests {
     #[test]
     fn more_is_asked_for_where_chance_is_likely() {
         let chance = |points, area, trials| {
-            Chance { points, least: 6, area, threshold_px: 4.0, trials }.needed()
+            Chance { points, least: 6, area, threshold_px: 4.0, trials, ring: 0 }.needed()
         };
         // ln(800 C(17, 4)) + 4 ln(50.3 / 300000) = -20.3, with 3 it is -12.9
         assert_eq!(chance(20, 300_000.0, 100), 7);
