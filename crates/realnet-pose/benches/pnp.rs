@@ -1,4 +1,4 @@
-//! Times of the solvers: `cargo bench -p realnet-pose`.
+//! Times of the solvers: `cargo bench -p realnet-pose --bench pnp`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../tests/common/mod.rs"]
