@@ -34,7 +34,7 @@ pub enum FfmpegError {
         reason: io::Error,
     },
     /// The program ended with an error or said that the data are damaged.
-    #[error("{subject}: {message}")]
+    #[error("{subject}: ffmpeg says: {message}")]
     Failed {
         /// The file or address.
         subject: String,

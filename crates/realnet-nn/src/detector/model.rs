@@ -16,7 +16,7 @@ const DEFAULT_SIZE: (u32, u32) = (640, 640);
 #[derive(Debug, Error)]
 pub enum ModelError {
     /// The file could not be read.
-    #[error("{}: {reason}", path.display())]
+    #[error("cannot read {}: {reason}", path.display())]
     Read {
         /// The file.
         path: PathBuf,

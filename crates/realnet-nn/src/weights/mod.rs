@@ -41,7 +41,7 @@ pub enum WeightsError {
         source: std::io::Error,
     },
     /// No bytes at all.
-    #[error("the file of weights is empty")]
+    #[error("the file is empty")]
     Empty,
     /// More bytes than any network here has.
     #[error("the file of weights has {size} bytes; at most {limit} are read")]
