@@ -18,6 +18,8 @@ struct Taps {
     /// Weights of all spans, one after the other, `per_span` each, 0 at the end.
     weights: Vec<u16>,
     per_span: usize,
+    /// One more than the last sample that any weight, also one of 0, falls on.
+    reach: usize,
 }
 
 impl Taps {
@@ -25,18 +27,22 @@ impl Taps {
     fn fill(&mut self, source: u32, target: u32, one: u16) {
         let scale = f64::from(source) / f64::from(target);
         let width = scale.max(1.0);
-        self.per_span = ((2.0 * width).ceil() as usize + 1).next_multiple_of(2);
+        let center = |i: usize| (i as f64 + 0.5) * scale;
         self.spans.clear();
+        self.spans.extend((0..target as usize).map(|i| {
+            let first = (center(i) - width + 0.5).max(0.0) as usize;
+            let end = ((center(i) + width + 0.5) as usize).min(source as usize);
+            (first, end - first)
+        }));
+        let longest = self.spans.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        self.per_span = longest.next_multiple_of(2).max(2);
+        self.reach = self.spans.last().map_or(0, |(first, _)| first + self.per_span);
         self.weights.clear();
         let mut shares = Vec::with_capacity(self.per_span);
-        for i in 0..target {
-            let center = (f64::from(i) + 0.5) * scale;
-            let first = (center - width + 0.5).max(0.0) as usize;
-            let end = ((center + width + 0.5) as usize).min(source as usize);
+        for (i, &(first, count)) in self.spans.iter().enumerate() {
+            let share = |j: usize| (1.0 - (j as f64 + 0.5 - center(i)).abs() / width).max(0.0);
             shares.clear();
-            shares.extend(
-                (first..end).map(|j| (1.0 - (j as f64 + 0.5 - center).abs() / width).max(0.0)),
-            );
+            shares.extend((first..first + count).map(share));
             let sum: f64 = shares.iter().sum();
             // Rounding the running sum instead of each weight keeps the total exact.
             let (mut running, mut given) = (0.0, 0);
@@ -46,8 +52,7 @@ impl Taps {
                 self.weights.push(upto - given);
                 given = upto;
             }
-            self.spans.push((first, end - first));
-            self.weights.resize(self.spans.len() * self.per_span, 0);
+            self.weights.resize((i + 1) * self.per_span, 0);
         }
     }
 
@@ -183,22 +188,46 @@ mod x86 {
     use super::{SHIFT, SLACK, Taps};
     use std::arch::x86_64::*;
 
-    /// The portable code, compiled for wider registers.
+    /// [`super::accumulate`] by AVX2: written out, because compilers turn the
+    /// portable code into slower products of 32 bits.
     #[target_feature(enable = "avx2")]
     pub(super) fn accumulate(rows: [&[u8]; 4], weights: [u16; 4], sums: &mut [u16]) {
-        super::accumulate_portable(rows, weights, sums);
+        // No closures here: they are compiled without AVX2 and called one by one.
+        let [a, b, c, d] = weights;
+        let factors = [
+            _mm256_set1_epi16(a.cast_signed()),
+            _mm256_set1_epi16(b.cast_signed()),
+            _mm256_set1_epi16(c.cast_signed()),
+            _mm256_set1_epi16(d.cast_signed()),
+        ];
+        let shortest = rows.iter().map(|row| row.len()).min().unwrap_or(0);
+        let done = shortest.min(sums.len()) / 16 * 16;
+        for x in (0..done).step_by(16) {
+            let mut part = _mm256_setzero_si256();
+            for (row, factor) in rows.iter().zip(factors) {
+                // SAFETY: `x + 16 <= done`, and no row nor `sums` is shorter.
+                let bytes = unsafe { _mm_loadu_si128(row.as_ptr().add(x).cast()) };
+                let values = _mm256_slli_epi16(_mm256_cvtepu8_epi16(bytes), 8);
+                part = _mm256_add_epi16(part, _mm256_mulhi_epu16(values, factor));
+            }
+            // SAFETY: as above.
+            unsafe {
+                let sum = sums.as_mut_ptr().add(x).cast();
+                _mm256_storeu_si256(sum, _mm256_add_epi16(_mm256_loadu_si256(sum), part));
+            }
+        }
+        let tails = rows.map(|row| row.get(done..).unwrap_or_default());
+        super::accumulate_portable(tails, weights, sums.get_mut(done..).unwrap_or_default());
     }
 
     /// The horizontal RGB pass by AVX2; false on a processor without it.
     pub(super) fn resize_row_rgb(row: &[i16], columns: &Taps, out: &mut [u8]) -> bool {
-        let width = columns.spans.len();
-        let last = columns.spans.iter().map(|(first, _)| first + columns.per_span).max();
-        let fits = last.is_some_and(|last| last * 3 + SLACK <= row.len() + 6);
-        if !is_x86_feature_detected!("avx2") || out.len() < 3 * width || !fits {
+        let fits = columns.reach * 3 + SLACK <= row.len() + 6;
+        if !is_x86_feature_detected!("avx2") || out.len() < 3 * columns.spans.len() || !fits {
             return false;
         }
         // SAFETY: AVX2 was found; every load below ends inside `row`, as the
-        // last one starts two samples (6 values) before `last`.
+        // last one starts two samples (6 values) before `reach`.
         unsafe { resize_row_rgb_avx2(row, columns, out) };
         true
     }
@@ -210,25 +239,43 @@ mod x86 {
     unsafe fn resize_row_rgb_avx2(row: &[i16], columns: &Taps, out: &mut [u8]) {
         const Z: i8 = -1;
         // r g b r g b . . -> (r r) (g g) (b b) (0 0)
-        let pairs = _mm_setr_epi8(0, 1, 6, 7, 2, 3, 8, 9, 4, 5, 10, 11, Z, Z, Z, Z);
-        let half = _mm_set1_epi32(1 << (SHIFT - 1));
-        let width = columns.spans.len();
-        for (x, (first, _, weights)) in columns.iter().enumerate() {
+        let pairs = _mm256_broadcastsi128_si256(_mm_setr_epi8(
+            0, 1, 6, 7, 2, 3, 8, 9, 4, 5, 10, 11, Z, Z, Z, Z,
+        ));
+        let half = _mm256_set1_epi32(1 << (SHIFT - 1));
+        let (width, per_span) = (columns.spans.len(), columns.per_span);
+        let (red, rest) = out.split_at_mut(width);
+        let (green, blue) = rest.split_at_mut(width);
+        // Two output samples at a time; an odd last one is done twice.
+        for x in (0..width).step_by(2) {
+            let at = [x, (x + 1).min(width - 1)];
+            let firsts = [columns.spans[at[0]].0 * 3, columns.spans[at[1]].0 * 3];
+            let low = &columns.weights[at[0] * per_span..][..per_span];
+            let high = &columns.weights[at[1] * per_span..][..per_span];
             let mut sum = half;
-            for (pair, weights) in weights.chunks_exact(2).enumerate() {
-                let both = i32::from(weights[0]) | (i32::from(weights[1]) << 16);
+            for (pair, (low, high)) in low.chunks_exact(2).zip(high.chunks_exact(2)).enumerate() {
                 // SAFETY: promised by the caller.
-                let pixels =
-                    unsafe { _mm_loadu_si128(row.as_ptr().add((first + 2 * pair) * 3).cast()) };
-                let pixels = _mm_shuffle_epi8(pixels, pairs);
-                sum = _mm_add_epi32(sum, _mm_madd_epi16(pixels, _mm_set1_epi32(both)));
+                let pixels = unsafe {
+                    let start = row.as_ptr().add(6 * pair);
+                    _mm256_set_m128i(
+                        _mm_loadu_si128(start.add(firsts[1]).cast()),
+                        _mm_loadu_si128(start.add(firsts[0]).cast()),
+                    )
+                };
+                let weights = _mm256_set_m128i(
+                    _mm_set1_epi32(i32::from(high[0]) | (i32::from(high[1]) << 16)),
+                    _mm_set1_epi32(i32::from(low[0]) | (i32::from(low[1]) << 16)),
+                );
+                let products = _mm256_madd_epi16(_mm256_shuffle_epi8(pixels, pairs), weights);
+                sum = _mm256_add_epi32(sum, products);
             }
-            let bytes = _mm_srai_epi32(sum, SHIFT as i32);
-            let bytes = _mm_packus_epi16(_mm_packs_epi32(bytes, bytes), bytes);
-            let [r, g, b, _] = _mm_cvtsi128_si32(bytes).to_le_bytes();
-            out[x] = r;
-            out[width + x] = g;
-            out[2 * width + x] = b;
+            let bytes = _mm256_srai_epi32(sum, SHIFT as i32);
+            let bytes = _mm256_packus_epi16(_mm256_packs_epi32(bytes, bytes), bytes);
+            let lanes = [_mm256_castsi256_si128(bytes), _mm256_extracti128_si256(bytes, 1)];
+            for (x, lane) in at.into_iter().zip(lanes) {
+                let [r, g, b, _] = _mm_cvtsi128_si32(lane).to_le_bytes();
+                (red[x], green[x], blue[x]) = (r, g, b);
+            }
         }
     }
 }
