@@ -29,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[3]
 class Side:
     def __init__(self, name, command):
         self.name, self.times, self.last = name, [], {}
+        self.stages = {"pre": [], "infer": [], "post": []}
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -88,6 +89,8 @@ def main():
                     # Idle threads of the side before still spin for a while.
                     time.sleep(0.1)
                     side.times.append(statistics.median(side.run(args.frames)))
+                    for stage, times in side.stages.items():
+                        times.extend(side.last.get(stage, []))
             by_name = {side.name: side for side in sides}
             row = {"model": Path(model).name, "threads": args.threads}
             for side in sides:
@@ -109,8 +112,11 @@ def main():
                     "p90": round(ratios[-1 - len(ratios) // 10], 3),
                 }
             for name in ("realnet-ort", "realnet-ort-triangle", "realnet-rten"):
-                for stage in ("pre", "infer", "post"):
-                    row[name][f"{stage}_ms"] = round(statistics.median(by_name[name].last[stage]), 3)
+                for stage, times in by_name[name].stages.items():
+                    row[name][f"{stage}_ms"] = round(statistics.median(times), 3)
+            classes = {side.name: sorted(b[0] for b in side.last["boxes"]) for side in sides}
+            if len({str(found) for found in classes.values()}) != 1:
+                sys.exit(f"the sides do not find the same: {classes}")
             figures.append(row)
             print(json.dumps(row, indent=1))
             for side in sides:

@@ -230,3 +230,47 @@ fn a_graph_that_does_not_look_at_one_picture_is_refused() {
     assert!(matches!(error, EngineError::Input { .. }), "{error}");
     assert!(error.to_string().contains("[2, 3, 64, 64]"), "{error}");
 }
+
+#[test]
+fn a_runtime_can_be_started_again() {
+    for (first, second) in runtimes().into_iter().zip(runtimes()) {
+        assert_eq!(first.describe(), second.describe());
+    }
+}
+
+#[test]
+fn absurd_input_sizes_are_refused_before_memory_is_asked_for() {
+    let Some(weights) = shared("models/yolov5n.pt") else { return };
+    let network = YoloV5::from_checkpoint(&Checkpoint::read(weights).unwrap()).unwrap();
+    let onnx = network.to_onnx(&OnnxOptions { width: 64, height: 64, half: false }).unwrap();
+    for side in [16_385, 100_000, u32::MAX as usize] {
+        let mut model = OnnxModel::from_bytes(&onnx).unwrap();
+        model.set_input_dims(&[1, 3, side, side]).unwrap();
+        let error = Runtime::start(&RuntimeOptions::default()).load(model).err().unwrap();
+        assert!(matches!(error, EngineError::Input { .. }), "{error}");
+    }
+}
+
+/// A small box that is surer must not take the place of a large one.
+#[test]
+fn small_boxes_take_no_place() {
+    let (Some(weights), Some(picture)) =
+        (shared("models/yolov5n.pt"), shared("golden/yolov5n/bus_320_letterbox.png"))
+    else {
+        return;
+    };
+    let frame = read_frame(&picture);
+    let runtime = Runtime::start(&RuntimeOptions::default());
+    let mut found = |min_size, max_det| {
+        let model = DetectorModel::open(&weights).unwrap();
+        let size = Some((320, 320));
+        let options = DetectorOptions { size, min_size, max_det, ..Default::default() };
+        Detector::new(model, &runtime, options).unwrap().detect(&frame).unwrap().to_vec()
+    };
+    let side = |d: &Detection| d.bbox.width().min(d.bbox.height());
+    let all = found(0.0, 300);
+    let largest = all.iter().map(side).fold(0.0, f32::max);
+    let one = found(largest - 1.0, 1);
+    assert_eq!(one.len(), 1, "{all:?}");
+    assert!(side(&one[0]) >= largest - 1.0);
+}

@@ -1,10 +1,11 @@
 //! Pixels: the kernels that prepare a picture for a network, and those that say
 //! how it moves.
 //!
-//! Every kernel works on 8-bit pictures in the fixed point of OpenCV, so that a
-//! network sees the same numbers it was trained on, and owns its scratch, so
-//! that nothing is allocated per frame once it has seen the first one. Vector
-//! code is chosen at run time and returns exactly what the portable code does.
+//! Every kernel works on 8-bit pictures in fixed point, with the numbers of the
+//! libraries that networks are trained with (OpenCV; Pillow for the triangle
+//! filter, within 1), and owns its scratch, so that nothing is allocated per frame
+//! once it has seen the first one. Vector code is chosen at run time and returns
+//! exactly what the portable code does.
 //!
 //! | for | use |
 //! |---|---|

@@ -592,3 +592,27 @@ fn a_reader_that_goes_away_is_no_failure() {
     assert_eq!(output.status.code(), Some(0));
     assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
 }
+
+#[test]
+fn results_never_replace_the_input() {
+    let (Some(model), Some(bus)) = (shared("models/yolov5n.pt"), shared("data/samples/bus.jpg"))
+    else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let picture = folder.path().join("bus.jpg");
+    std::fs::copy(&bus, &picture).unwrap();
+    let before = std::fs::read(&picture).unwrap();
+    let text = |path: &Path| path.to_str().unwrap().to_owned();
+    let run = realnet(&[
+        "detect".to_owned(),
+        "--imgsz=64".to_owned(),
+        "--engine=rten".to_owned(),
+        format!("--model={}", text(&model)),
+        format!("--source={}", text(folder.path())),
+        format!("--save={}/.", text(folder.path())),
+    ]);
+    assert_eq!(run.code, Some(2), "{}", run.stderr);
+    assert!(run.stderr.contains("would be overwritten"), "{}", run.stderr);
+    assert_eq!(std::fs::read(&picture).unwrap(), before);
+}

@@ -55,7 +55,9 @@ pub struct Labels {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum LabelErrorKind {
     /// Neither a box nor a polygon.
-    #[error("{found} values in a row; a box has 5 (class cx cy w h), a polygon 1 + 2n with n >= 3, separated by spaces")]
+    #[error(
+        "{found} values in a row; a box has 5 (class cx cy w h), a polygon 1 + 2n with n >= 3, separated by spaces"
+    )]
     Count {
         /// Values found.
         found: usize,

@@ -25,6 +25,16 @@ const YUYV: [u8; 4] = *b"YUYV";
 /// error.
 const MAX_BROKEN: u32 = 30;
 
+/// How long a camera may take to start.
+const START: Duration = Duration::from_secs(10);
+
+/// How long one wait for a picture takes, in milliseconds: short, so that a
+/// source that is stopped ends soon.
+const PAUSE_MS: i32 = 200;
+
+/// `POLLIN`: there is something to read.
+const POLLIN: i16 = 1;
+
 /// Opens `device`, which must deliver MJPEG or YUYV at the size asked for.
 pub(super) fn open(device: &str, options: &SourceOptions) -> Result<Source, SourceError> {
     let failed = |message: String| SourceError::Camera { name: device.to_string(), message };
@@ -42,8 +52,9 @@ pub(super) fn open(device: &str, options: &SourceOptions) -> Result<Source, Sour
     let fps = fps.map(|i| f64::from(i.denominator) / f64::from(i.numerator));
     let mut stream = Stream::with_buffers(&dev, Type::VideoCapture, 4)
         .map_err(|e| failed(format!("cannot capture: {e}")))?;
-    // Short, so that a source that is stopped ends soon.
-    stream.set_timeout(Duration::from_millis(200));
+    // For the first picture, which starts the camera; later ones are waited for
+    // by `poll`, because a read that times out leaves its buffer queued.
+    stream.set_timeout(START);
     let live = options.live.unwrap_or(true);
     let queue = Arc::new(Queue::new(options.ahead, live));
     queue.set_fps(fps);
@@ -55,6 +66,7 @@ pub(super) fn open(device: &str, options: &SourceOptions) -> Result<Source, Sour
         limits: options.limits,
         queue: Arc::clone(&queue),
         index: 0,
+        started: false,
         first_sequence: None,
         broken: 0,
         failed: false,
@@ -148,6 +160,8 @@ struct Camera {
     limits: picture::Limits,
     queue: Arc<Queue>,
     index: u64,
+    /// True once the camera was asked for its first picture.
+    started: bool,
     first_sequence: Option<u32>,
     broken: u32,
     failed: bool,
@@ -156,10 +170,18 @@ struct Camera {
 impl Produce for Camera {
     fn next(&mut self, mut spare: Vec<u8>) -> Option<Result<SourceFrame, SourceError>> {
         while !self.failed && !self.queue.is_stopped() {
+            // Silence: the taker decides when that is too long.
+            if self.started && matches!(self.stream.handle().poll(POLLIN, PAUSE_MS), Ok(0)) {
+                continue;
+            }
+            self.started = true;
             let (bytes, meta) = match self.stream.next() {
                 Ok((bytes, meta)) => (bytes, *meta),
-                // Silence: the taker decides when that is too long.
-                Err(e) if e.kind() == io::ErrorKind::TimedOut => continue,
+                Err(e) if e.kind() == io::ErrorKind::TimedOut => {
+                    self.failed = true;
+                    let message = format!("no picture within {} s", START.as_secs());
+                    return Some(Err(SourceError::Camera { name: self.name.clone(), message }));
+                }
                 Err(e) => {
                     self.failed = true;
                     let message = format!("capture failed (unplugged?): {e}");

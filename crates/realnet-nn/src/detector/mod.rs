@@ -314,13 +314,16 @@ impl Detector {
         if !options.classes.is_empty() {
             self.candidates.retain(|c| options.classes.contains(&c.class_id));
         }
+        // Before the doubles are looked for: what is too small must not take a place.
+        self.candidates.retain(|candidate| {
+            let bbox = letterbox.frame_from_input(&candidate.bbox);
+            bbox.is_proper() && bbox.width().min(bbox.height()) >= options.min_size
+        });
         nms::suppress(&mut self.candidates, options.iou, options.agnostic, options.max_det);
         self.detections.clear();
-        self.detections.extend(self.candidates.iter().filter_map(|candidate| {
-            let bbox = letterbox.frame_from_input(&candidate.bbox);
-            let long = bbox.width().min(bbox.height()) >= options.min_size;
-            let Candidate { confidence, class_id, .. } = *candidate;
-            (bbox.is_proper() && long).then_some(Detection { class_id, confidence, bbox })
+        self.detections.extend(self.candidates.iter().map(|candidate| {
+            let Candidate { bbox, confidence, class_id } = *candidate;
+            Detection { class_id, confidence, bbox: letterbox.frame_from_input(&bbox) }
         }));
         mark(Stage::Postprocess);
     }

@@ -108,6 +108,7 @@ impl Heads {
         let complete = !heads.is_empty()
             && heads.len() == anchors.len()
             && heads.len() == strides.len()
+            && anchors.iter().all(|level| !level.is_empty())
             && heads.iter().all(|head| model.has_tensor(head));
         let level = |(anchors, &stride): (&Vec<_>, &usize)| Level {
             stride: stride as f32,
@@ -251,11 +252,14 @@ impl DetectorModel {
                     (Some(found), Some(asked)) if found != asked => {
                         return Err(ModelError::FixedSize { name: name(), found, asked });
                     }
-                    (Some(_), _) => {}
-                    (None, asked) => {
-                        let (width, height) = asked.unwrap_or(DEFAULT_SIZE);
+                    (own, asked) => {
+                        // Also a batch that the file leaves open becomes 1.
+                        let (width, height) = own.or(asked).unwrap_or(DEFAULT_SIZE);
                         let dims = [1, 3, height as usize, width as usize];
-                        model.set_input_dims(&dims).map_err(onnx)?;
+                        let open = model.inputs().iter().any(|i| i.fixed_dims().is_none());
+                        if open {
+                            model.set_input_dims(&dims).map_err(onnx)?;
+                        }
                     }
                 }
                 Ok((model, layout.clone()))

@@ -14,9 +14,12 @@ mod rten_engine;
 pub use ort_engine::{OrtLibrary, OrtLibraryError};
 pub use rten_engine::RTEN_VERSION;
 
-use crate::onnx::OnnxModel;
+use crate::onnx::{ElementType, OnnxModel};
 use std::{fmt, path::PathBuf};
 use thiserror::Error;
+
+/// Largest width and height of an input, in pixels.
+pub(crate) const MAX_SIDE: u32 = 16_384;
 
 /// Which engine to use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -92,7 +95,9 @@ pub enum EngineError {
         reason: String,
     },
     /// The network's input is not one picture.
-    #[error("the network's input must be float32 1x3xHxW with fixed H and W, found {found}")]
+    #[error(
+        "the network's input must be float32 1x3xHxW with fixed H and W up to {MAX_SIDE}, found {found}"
+    )]
     Input {
         /// Names and shapes found.
         found: String,
@@ -236,8 +241,9 @@ fn picture_input(model: &OnnxModel) -> Result<(u32, u32), EngineError> {
     if let [input] = inputs.as_slice()
         && let Some([1, 3, height, width]) = input.fixed_dims().as_deref()
         && let (Ok(width), Ok(height)) = (u32::try_from(*width), u32::try_from(*height))
-        && width > 0
-        && height > 0
+        && (1..=MAX_SIDE).contains(&width)
+        && (1..=MAX_SIDE).contains(&height)
+        && input.element == ElementType::Float32
     {
         return Ok((width, height));
     }

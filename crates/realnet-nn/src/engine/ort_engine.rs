@@ -10,6 +10,7 @@ use ort::{
 use std::{
     ffi::{CStr, c_char},
     path::{Path, PathBuf},
+    sync::{Mutex, PoisonError},
 };
 use thiserror::Error;
 
@@ -87,6 +88,10 @@ fn loader_words(path: &Path, error: &libloading::Error) -> String {
     words.strip_prefix(&prefix).map(str::to_owned).unwrap_or(words)
 }
 
+/// The one library of this process, by its real path; without an [`OrtLibrary`]
+/// when it was loaded but did not start.
+static CLAIM: Mutex<Option<(PathBuf, Option<OrtLibrary>)>> = Mutex::new(None);
+
 impl OrtLibrary {
     /// Loads the library at `path`.
     ///
@@ -99,14 +104,28 @@ impl OrtLibrary {
             version: version.clone(),
             reason,
         };
-        let environment = ort::init_from(path)
-            .map_err(|error| start(error.to_string()))?
+        let real = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        // A panic while the lock is held leaves nothing half done.
+        let mut claim = CLAIM.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*claim {
+            Some((claimed, Some(library))) if *claimed == real => return Ok(library.clone()),
+            Some((claimed, _)) => {
+                let taken = claimed.display();
+                return Err(start(format!("this process has already taken {taken}")));
+            }
+            None => {}
+        }
+        let builder = ort::init_from(path).map_err(|error| start(error.to_string()))?;
+        *claim = Some((real.clone(), None));
+        let environment = builder
             .with_name("realnet")
             .with_telemetry(false)
             .build()
             .map_err(|error| start(error.to_string()))?;
         environment.set_log_level(ort::logging::LogLevel::Error);
-        Ok(Self { path: path.to_owned(), version: version.clone(), environment })
+        let library = Self { path: path.to_owned(), version: version.clone(), environment };
+        *claim = Some((real, Some(library.clone())));
+        Ok(library)
     }
 
     /// The version of the library at `path`, without starting it.

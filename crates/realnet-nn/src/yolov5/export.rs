@@ -66,7 +66,7 @@ pub enum ExportError {
 }
 
 /// Largest width or height, in pixels.
-const MAX_SIZE: usize = 16_384;
+const MAX_SIZE: usize = crate::engine::MAX_SIDE as usize;
 
 /// Whether a network whose largest stride is `stride` can have this input size.
 pub(crate) fn check_size(width: usize, height: usize, stride: usize) -> Result<(), ExportError> {

@@ -1,7 +1,7 @@
 //! `realnet convert`.
 
 use super::{
-    failure::{OrBadInput, Outcome, bad_input, say},
+    failure::{OrBadInput, Outcome, keep_input, say},
     model_args::parse_size,
 };
 use anyhow::{Context, Result};
@@ -30,9 +30,7 @@ pub(crate) struct ConvertArgs {
 
 pub(crate) fn run(args: &ConvertArgs) -> Result<Outcome> {
     let output = args.output.clone().unwrap_or_else(|| args.weights.with_extension("onnx"));
-    if output == args.weights {
-        return Err(bad_input(format!("{} would be overwritten", output.display())));
-    }
+    keep_input(&output, &args.weights)?;
     let checkpoint = Checkpoint::read(&args.weights)
         .with_context(|| args.weights.display().to_string())
         .or_bad_input()?;

@@ -4,7 +4,7 @@ mod saver;
 
 use super::{
     engine_args::EngineArgs,
-    failure::{OrBadInput, Outcome, report},
+    failure::{OrBadInput, Outcome, is_broken_pipe, report},
     interrupt,
     model_args::{
         FilterFlag, open_model, parse_box, parse_classes, parse_positive, parse_share, parse_side,
@@ -187,10 +187,16 @@ pub(crate) fn run(args: &DetectArgs) -> Result<Outcome> {
     }
     bar.finish_and_clear();
     let closed = saver.finish();
-    if let Some(error) = failure {
-        return Err(error);
+    match (failure, closed) {
+        (None, closed) => closed?,
+        (Some(error), Ok(())) => return Err(error),
+        // Both are told; a reader that went away is no news.
+        (Some(first), Err(second)) if is_broken_pipe(&first) => return Err(second),
+        (Some(first), Err(second)) => {
+            report(&second);
+            return Err(first);
+        }
     }
-    closed?;
     if source.dropped() > 0 {
         super::failure::say(format!("{} stale frames were dropped", source.dropped()));
     }
@@ -200,7 +206,7 @@ pub(crate) fn run(args: &DetectArgs) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// One line for a person: `bus.jpg 810x1080: 3 person, 1 bus (0.4 + 9.1 + 0.1 ms)`.
+/// One line for a person: `bus.jpg #0 810x1080: 3 person, 1 bus (0.4 + 9.1 + 0.1 ms)`.
 fn describe(shot: &SourceFrame, found: &[Detection], names: &[String], ms: &StageMs) -> String {
     let mut counts: Vec<(u32, usize)> = Vec::new();
     for detection in found {

@@ -1,7 +1,7 @@
 //! How a run ends: with which words, and which exit code.
 
 use anyhow::Error;
-use std::{fmt, process::ExitCode};
+use std::{fmt, path::Path, process::ExitCode};
 
 /// The user's input was bad: exit code 2 instead of 1.
 #[derive(Debug)]
@@ -62,11 +62,22 @@ pub(crate) fn exit_code(result: Result<Outcome, Error>) -> ExitCode {
     }
 }
 
-fn is_broken_pipe(error: &Error) -> bool {
+/// Whether whoever read our output went away.
+pub(crate) fn is_broken_pipe(error: &Error) -> bool {
     error
         .chain()
         .filter_map(|cause| cause.downcast_ref::<std::io::Error>())
         .any(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// Refuses to write results over one of the run's inputs.
+pub(crate) fn keep_input(output: &Path, input: &Path) -> Result<(), Error> {
+    match (output.canonicalize(), input.canonicalize()) {
+        (Ok(target), Ok(source)) if target == source => {
+            Err(bad_input(format!("the input {} would be overwritten", input.display())))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// One line to standard error.

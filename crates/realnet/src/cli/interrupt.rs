@@ -1,4 +1,4 @@
-//! Ctrl-C: finish the frame, close the files, leave.
+//! Ctrl-C (and SIGTERM): finish the frame, close the files, leave.
 
 use std::sync::{
     Mutex,
@@ -35,5 +35,9 @@ pub(crate) fn interrupted() -> bool {
 pub(crate) fn stop_on_interrupt(source: &realnet::source::Source) {
     if let Ok(mut stopper) = STOPPER.lock() {
         *stopper = Some(source.stopper());
+    }
+    // It may have come before there was anything to stop.
+    if interrupted() {
+        source.stopper().stop();
     }
 }

@@ -3,7 +3,7 @@
 use super::{
     detect::make_directory,
     engine_args::EngineArgs,
-    failure::{OrBadInput, Outcome, bad_input, report, say},
+    failure::{OrBadInput, Outcome, bad_input, keep_input, report, say},
     interrupt,
     model_args::{FilterFlag, open_model, parse_share, parse_size, start_detector},
     output::Output,
@@ -217,6 +217,9 @@ pub(crate) fn run(args: &ValArgs) -> Result<Outcome> {
     };
     if let Some(directory) = &args.save {
         make_directory(directory)?;
+        for name in ["labels.json", "predictions.json", "metrics.json"] {
+            keep_input(&directory.join(name), &args.data)?;
+        }
     }
     let mut detector = start_detector(&args.model, model, &args.engine.start(), options)?;
     if args.single_cls {

@@ -1,6 +1,6 @@
 //! Everything that `realnet detect` leaves on disk.
 
-use super::make_directory;
+use super::{super::failure::keep_input, make_directory};
 use anyhow::Result;
 use clap::Args;
 use realnet::{
@@ -104,13 +104,19 @@ impl Saver {
             annotator.draw(&mut frame, found);
             match &self.moving {
                 None => {
-                    let extension = Path::new(&name).extension().unwrap_or("jpg".as_ref());
-                    let path = directory.join(own).with_added_extension(extension);
+                    let source = Path::new(&name);
+                    let extension =
+                        source.extension().filter(|_| picture::has_picture_extension(source));
+                    let path = directory
+                        .join(own)
+                        .with_added_extension(extension.unwrap_or("jpg".as_ref()));
+                    keep_input(&path, source)?;
                     picture::write(&path, &frame)?;
                 }
                 Some(moving) => {
                     if self.video.is_none() {
                         let path = directory.join(format!("{moving}.mp4"));
+                        keep_input(&path, Path::new(&name))?;
                         let (width, height) = (frame.width(), frame.height());
                         let writer =
                             VideoWriter::create(&path, width, height, fps.unwrap_or(30.0))?;
