@@ -261,7 +261,7 @@ fn small_boxes_take_no_place() {
     };
     let frame = read_frame(&picture);
     let runtime = Runtime::start(&RuntimeOptions::default());
-    let mut found = |min_size, max_det| {
+    let found = |min_size, max_det| {
         let model = DetectorModel::open(&weights).unwrap();
         let size = Some((320, 320));
         let options = DetectorOptions { size, min_size, max_det, ..Default::default() };
