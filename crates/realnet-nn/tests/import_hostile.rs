@@ -327,6 +327,7 @@ fn networks_that_do_not_fit_are_named() {
     assert!(build(&[("encoder.weight", &[1])]).contains("first: 'encoder.weight'"));
     assert!(build(&[("model.3.conv.weight", &[1, 1, 1, 1])]).contains("4 layers"));
     assert!(build(&[("model.999999999.w", &[1])]).contains("1000000000 layers"));
+    assert!(build(&[("model.18446744073709551615.w", &[1])]).contains(" layers; at most"));
     let text = build(&[("model.0.conv.weight", &[8, 3, 6, 6]), ("model.24.anchors", &[3, 3, 2])]);
     assert!(text.contains("layer model.1 looks like"), "{text}");
 }

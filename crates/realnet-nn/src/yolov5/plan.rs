@@ -67,7 +67,7 @@ pub(super) fn plan(checkpoint: &Checkpoint) -> Result<Vec<Step>, ImportError> {
     let names = layer_names(checkpoint)?;
     let last = *names.keys().next_back().unwrap_or(&0);
     if last >= MAX_LAYERS {
-        let reason = format!("layer model.{last}; at most {MAX_LAYERS} layers are read");
+        let reason = format!("{} layers; at most {MAX_LAYERS} are read", last.saturating_add(1));
         return Err(ImportError::UnknownLayout { reason });
     }
     let wired = (0..=last).all(|i| {
