@@ -11,6 +11,7 @@
 //! Nothing here starts a thread of its own, reads a clock or the environment, or
 //! prints. The only file that is opened is the one the caller names.
 
+mod class_names;
 pub mod detector;
 pub mod engine;
 pub mod onnx;

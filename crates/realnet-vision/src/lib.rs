@@ -32,6 +32,8 @@ mod letterbox;
 mod pyramid;
 mod resize;
 mod simd;
+#[cfg(test)]
+mod testing;
 mod triangle;
 
 pub use corners::{Corner, CornerDetector, CornerMask, CornerOptions};

@@ -326,22 +326,9 @@ pub fn resize(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::noise;
     use proptest::prelude::*;
     use realnet_core::Stamp;
-
-    fn noise(width: u32, height: u32, channels: usize, seed: u32) -> Frame {
-        let mut state = seed | 1;
-        let data = (0..width as usize * height as usize * channels)
-            .map(|_| {
-                state ^= state << 13;
-                state ^= state >> 17;
-                state ^= state << 5;
-                (state >> 8) as u8
-            })
-            .collect();
-        let format = if channels == 3 { PixelFormat::Rgb8 } else { PixelFormat::Grey8 };
-        Frame::new(Stamp::ZERO, width, height, format, data).unwrap()
-    }
 
     /// Fingerprints (64-bit FNV-1a) of `cv2.resize` by OpenCV 5.0 of the same
     /// noise, 321x243 RGB.

@@ -283,23 +283,9 @@ mod x86 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Filter, resize};
+    use crate::{Filter, resize, testing::noise};
     use proptest::prelude::*;
     use realnet_core::Stamp;
-
-    fn noise(width: u32, height: u32, channels: usize, seed: u32) -> Frame {
-        let mut state = seed | 1;
-        let data = (0..width as usize * height as usize * channels)
-            .map(|_| {
-                state ^= state << 13;
-                state ^= state >> 17;
-                state ^= state << 5;
-                (state >> 8) as u8
-            })
-            .collect();
-        let format = if channels == 3 { PixelFormat::Rgb8 } else { PixelFormat::Grey8 };
-        Frame::new(Stamp::ZERO, width, height, format, data).unwrap()
-    }
 
     /// `Image.resize((5, 3), Image.BILINEAR)` by Pillow 13.0 of `(7 x + 31 y) % 256` on
     /// 12x8 grey pixels.

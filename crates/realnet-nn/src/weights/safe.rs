@@ -45,7 +45,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Checkpoint, WeightsError> {
     Ok(Checkpoint {
         tensors,
         modules: BTreeMap::new(),
-        class_names: metadata.get("names").and_then(|text| crate::yolov5::parse_names(text).ok()),
+        class_names: metadata
+            .get("names")
+            .and_then(|text| crate::class_names::parse_names(text).ok()),
         strides: json("stride")
             .and_then(|v| v.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>()),
         bn_eps: json("bn_eps").as_ref().and_then(Value::as_f64),

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::YoloV5;
 use super::graph::{Activation, Bottleneck, Conv, Csp, Op, Spp};
-use super::python::write_names;
+use crate::class_names::write_names;
 use crate::onnx::proto::{
     AttributeProto, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto,
     TensorProto, ValueInfoProto, attribute_type, data_type,

@@ -3,7 +3,7 @@
 use serde_json::Value;
 use thiserror::Error;
 
-use super::python::{NamesError, parse_names};
+use crate::class_names::{NamesError, parse_names};
 use crate::onnx::OnnxModel;
 
 /// Metadata that cannot be read.

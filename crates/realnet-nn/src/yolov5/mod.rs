@@ -21,14 +21,13 @@ mod fold;
 mod graph;
 mod metadata;
 mod plan;
-mod python;
 
 use thiserror::Error;
 
+pub use crate::class_names::{NamesError, parse_names};
 pub(crate) use export::check_size;
 pub use export::{ExportError, OnnxOptions};
 pub use metadata::{DetectorMetadata, MetadataError};
-pub use python::{NamesError, parse_names};
 
 use crate::weights::Checkpoint;
 use graph::Layer;
