@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`Stamp`] | exposure time of a frame, `i64` nanoseconds |
 //! | [`Frame`] | an 8-bit picture, RGB or grey, with its stamp |
+//! | [`DepthMap`] | the depth of each pixel in metres, `f32`, with its stamp |
 //! | [`BoundingBox`] | an axis-aligned box in pixels, `f32` |
 //! | [`Detection`] | a box with class and confidence |
 //! | [`CameraModel`] | pinhole camera with lens distortion, `f64` |
@@ -29,6 +30,7 @@
 
 mod bbox;
 mod camera;
+mod depth;
 mod detection;
 mod frame;
 mod pose;
@@ -38,6 +40,7 @@ pub use bbox::BoundingBox;
 pub use camera::{
     CalibrationError, CameraCalibration, CameraError, CameraModel, Distortion, Intrinsics,
 };
+pub use depth::{DepthMap, DepthMapError};
 pub use detection::Detection;
 pub use frame::{Frame, FrameError, PixelFormat};
 pub use pose::{Pose, PoseError, body_from_optical};
