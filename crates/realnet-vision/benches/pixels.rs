@@ -4,7 +4,8 @@
 use divan::{Bencher, black_box};
 use realnet_core::{Frame, Stamp};
 use realnet_vision::{
-    Corner, CornerDetector, CornerOptions, Filter, FlowOptions, FlowTracker, Letterboxer, Track,
+    Corner, CornerDetector, CornerOptions, Filter, FlowOptions, FlowTracker, Letterboxer,
+    PatchSearch, Track,
 };
 
 fn main() {
@@ -81,6 +82,19 @@ fn frame_200(bencher: Bencher, size: (u32, u32)) {
         points.clear();
         points.extend(corners.iter().map(|c| c.point));
         tracker.track(&points, None, &mut tracks).unwrap();
+    });
+}
+
+/// A patch of 24x24 pixels at 73x73 positions.
+#[divan::bench]
+fn patch_search(bencher: Bencher) {
+    let (tracker, _) = tracker((160, 120), false);
+    let level = tracker.present().full().unwrap();
+    let rows = (40..64).flat_map(|y| &level.row(y).unwrap()[60..84]);
+    let patch: Vec<u8> = rows.copied().collect();
+    let mut search = PatchSearch::new();
+    bencher.bench_local(|| {
+        search.run(black_box(&patch), (24, 24), level, (24, 4), (73, 73)).map(|s| s.best())
     });
 }
 

@@ -13,6 +13,7 @@
 //! | halved pictures | [`Pyramid`] |
 //! | corners worth tracking (Shi-Tomasi) | [`CornerDetector`] |
 //! | where they are in the next picture (Lucas-Kanade) | [`FlowTracker`], or [`LucasKanade`] between any two pyramids |
+//! | where a patch is, wherever it went (exhaustive correlation) | [`PatchSearch`] |
 //!
 //! ```
 //! use realnet_core::{Frame, Stamp};
@@ -31,6 +32,7 @@ mod flow;
 mod letterbox;
 mod pyramid;
 mod resize;
+mod search;
 mod simd;
 #[cfg(test)]
 mod testing;
@@ -41,6 +43,7 @@ pub use flow::{FlowOptions, FlowTracker, LucasKanade, Track, TrackStatus, Window
 pub use letterbox::{Letterbox, Letterboxer, Region};
 pub use pyramid::{Level, Pyramid};
 pub use resize::{Filter, resize};
+pub use search::{PatchSearch, Scores, SearchError};
 
 use thiserror::Error;
 
