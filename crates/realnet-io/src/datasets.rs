@@ -1,15 +1,20 @@
-//! Data sets: YOLO `data.yaml` with text labels, and COCO json.
+//! Data sets: YOLO `data.yaml` with text labels, COCO json, RGB-D sequences and
+//! the boxes of a target.
 
+pub mod boxes;
 pub mod coco;
 pub mod labels;
+pub mod rgbd;
 pub mod yolo;
 
 use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
+pub use boxes::TargetBoxes;
 pub use coco::{CocoAnnotation, CocoDataset, CocoImage, CocoResult};
 pub use labels::{Label, LabelError, Labels};
+pub use rgbd::{RgbdError, RgbdFrame, RgbdLayout, RgbdOptions, RgbdSequence};
 pub use yolo::{Sample, YoloDataset};
 
 /// Why a data set cannot be used; always with the file and the place in it.
@@ -65,6 +70,16 @@ pub enum DatasetError {
         /// The line and what is wrong in it.
         error: LabelError,
     },
+    /// Bad boxes of a target.
+    #[error("{}{}: {message}", path.display(), line_of(*line))]
+    Boxes {
+        /// The file or folder.
+        path: PathBuf,
+        /// The line, from 1; 0 for the whole.
+        line: usize,
+        /// What is wrong.
+        message: String,
+    },
     /// A bad COCO file.
     #[error("{}: {message}", path.display())]
     Coco {
@@ -74,6 +89,11 @@ pub enum DatasetError {
         /// is wrong.
         message: String,
     },
+}
+
+/// `:12` after the name of a file, nothing for the whole of it.
+fn line_of(line: usize) -> String {
+    if line > 0 { format!(":{line}") } else { String::new() }
 }
 
 /// Reads a text file; bytes that are not UTF-8 are an error.

@@ -3,10 +3,11 @@
 //! | module | what |
 //! |---|---|
 //! | [`picture`] | JPEG and PNG files to [`Frame`](realnet_core::Frame) and back |
+//! | [`depth`] | grey PNG and PGM files to [`DepthMap`](realnet_core::DepthMap) |
 //! | [`source`] | one iterator over pictures, folders, globs, video, streams and cameras |
 //! | [`video`] | annotated video through an installed ffmpeg |
 //! | [`annotate`] | boxes and labels drawn on a frame |
-//! | [`datasets`] | YOLO `data.yaml` and COCO json, in and out |
+//! | [`datasets`] | YOLO `data.yaml`, COCO json, RGB-D sequences, boxes of a target |
 //! | [`results`] | JSON lines, YOLO text and COCO results of a run |
 //! | [`atomic`] | files that are whole or not there |
 //! | [`yuv`] | packed YUV of cameras to RGB |
@@ -17,6 +18,7 @@
 pub mod annotate;
 pub mod atomic;
 pub mod datasets;
+pub mod depth;
 mod ffmpeg;
 pub mod picture;
 pub mod results;

@@ -4,7 +4,8 @@
 mod common;
 
 use common::shared;
-use realnet_io::datasets::{CocoDataset, DatasetError, YoloDataset, coco};
+use realnet_core::BoundingBox;
+use realnet_io::datasets::{CocoDataset, DatasetError, TargetBoxes, YoloDataset, coco};
 use std::fs;
 use std::path::Path;
 
@@ -54,6 +55,25 @@ fn the_rc_car_set_loads() {
     }
     let error = data.split("test").unwrap_err().to_string();
     assert!(error.contains("no `test` entry; there are: train, val"), "{error}");
+}
+
+#[test]
+fn the_boxes_of_real_targets_load() {
+    if let Some(file) = shared("data/blurcar/boxes.csv") {
+        let boxes = TargetBoxes::read(&file).unwrap();
+        assert!(boxes.numbers().eq(0..100));
+        let wanted = BoundingBox::new(231.0, 175.0, 333.0, 264.0);
+        assert_eq!(boxes.get(0, 640, 480), Some(wanted));
+    }
+    if let Some(folder) = shared("data/rc-car/seq2/labels") {
+        let boxes = TargetBoxes::read(&folder).unwrap();
+        assert!(boxes.numbers().eq(0..100));
+        let inside = BoundingBox::new(-0.5, -0.5, 1280.5, 720.5);
+        for number in boxes.numbers() {
+            let b = boxes.get(number, 1280, 720).unwrap();
+            assert!(b.is_proper() && (b.intersection(&inside) - b.area()).abs() < 1.0);
+        }
+    }
 }
 
 #[test]
