@@ -94,6 +94,11 @@ impl DepthMap {
         self
     }
 
+    /// Makes these the depths of another time.
+    pub fn set_stamp(&mut self, stamp: Stamp) {
+        self.stamp = stamp;
+    }
+
     /// Pixels a row.
     #[must_use]
     pub fn width(&self) -> u32 {

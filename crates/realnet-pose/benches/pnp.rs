@@ -6,8 +6,9 @@ mod common;
 
 use common::{Problem, Random};
 use divan::{Bencher, black_box};
-use realnet_core::nalgebra::{Unit, Vector3};
-use realnet_pose::{PnpSolver, RansacOptions, RefineOptions, dlt, p3p};
+use realnet_core::nalgebra::{Unit, Vector3, Vector6};
+use realnet_core::{CameraModel, DepthMap, Distortion, Intrinsics, Pose, Stamp};
+use realnet_pose::{DepthWarper, PnpSolver, RansacOptions, RefineOptions, WarpRegion, dlt, p3p};
 
 fn main() {
     divan::main();
@@ -51,4 +52,40 @@ fn ransac_200(bencher: Bencher<'_, '_>, percent: u32) {
         seed += 1;
         solver.solve(black_box(&all), seed).unwrap()
     });
+}
+
+/// A wall whose depths fill the picture, and a target of a twentieth of it.
+#[divan::bench(args = [(640, 360), (1280, 720)])]
+fn warp_map(bencher: Bencher<'_, '_>, (width, height): (u32, u32)) {
+    let (mut warper, then, mut now, target) = warp_problem(width, height);
+    let background = Pose::exp(&Vector6::new(0.02, 0.0, -0.1, 0.005, 0.01, 0.002));
+    bencher.bench_local(|| {
+        let (background, target) = (Some(&background), Some(&target));
+        warper.warp(black_box(&then), Stamp::ZERO, background, target, &mut now)
+    });
+}
+
+#[divan::bench(args = [(640, 360), (1280, 720)])]
+fn warp_target(bencher: Bencher<'_, '_>, (width, height): (u32, u32)) {
+    let (mut warper, then, mut now, target) = warp_problem(width, height);
+    bencher
+        .bench_local(|| warper.warp(black_box(&then), Stamp::ZERO, None, Some(&target), &mut now));
+}
+
+fn warp_problem(width: u32, height: u32) -> (DepthWarper, DepthMap, DepthMap, WarpRegion) {
+    let focal = f64::from(width) * 0.8;
+    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+    let intrinsics = Intrinsics { fx: focal, fy: focal, cx, cy };
+    let camera = CameraModel::new(width, height, intrinsics, Distortion::None).unwrap();
+    let wave = |i: u32| 4.0 + ((i % width) as f32 * 0.01).sin() + (i / width) as f32 * 0.002;
+    let data = (0..width * height).map(wave).collect();
+    let then = DepthMap::new(Stamp::ZERO, width, height, data).unwrap();
+    let now = DepthMap::unknown(Stamp::ZERO, width, height).unwrap();
+    let target = WarpRegion {
+        start: (width * 2 / 5, height * 2 / 5),
+        end: (width * 3 / 5, height * 13 / 20),
+        depths: (0.0, 100.0),
+        motion: Some(Pose::exp(&Vector6::new(0.05, 0.0, -0.1, 0.0, 0.02, 0.0))),
+    };
+    (DepthWarper::new(&camera), then, now, target)
 }

@@ -1,5 +1,6 @@
 //! The pose of a calibrated camera from points known in space and seen in the
-//! picture (PnP), with the deviation of the answer, or a reason why there is none.
+//! picture (PnP), with the deviation of the answer, or a reason why there is none;
+//! and depth maps warped by such poses ([`DepthWarper`]).
 //!
 //! | function | what it needs | what it gives |
 //! |---|---|---|
@@ -80,6 +81,7 @@ mod ransac;
 mod rng;
 mod solver;
 mod statistics;
+mod warp;
 
 pub use dlt::dlt;
 pub use error::PnpError;
@@ -88,3 +90,4 @@ pub use options::{RansacOptions, RefineOptions};
 pub use p3p::{P3pPoses, p3p};
 pub use problem::Correspondences;
 pub use solver::PnpSolver;
+pub use warp::{DepthWarper, WarpError, WarpRegion};
