@@ -15,7 +15,7 @@ pub enum Side {
 }
 
 /// Splits pixels into target and background: the target is what lies inside a
-/// box and within an interval of depths. `SigmaRule` makes
+/// box and within an interval of depths. [`SigmaRule`](super::SigmaRule) makes
 /// one from a depth map; made by hand, any box and interval will do.
 ///
 /// Two conventions meet here, as in [`realnet_core`]: pixel *positions* count
