@@ -1,5 +1,6 @@
-//! Figures of a detector: average precision by the COCO protocol, precision and
-//! recall against confidence, the confusion matrix, a report and plots.
+//! Figures of a detector (average precision by the COCO protocol, precision and
+//! recall against confidence, the confusion matrix, a report and plots), of depth
+//! maps and of camera motion.
 //!
 //! | function | what it gives |
 //! |---|---|
@@ -8,9 +9,11 @@
 //! | [`confusion_matrix`] | [`ConfusionMatrix`]: which category is taken for which |
 //! | [`Report::new`] | [`Report`]: the figures of a validation run as JSON or as a table |
 //! | [`plot`] | the curves and the matrix as pictures |
+//! | [`DepthMetrics`] | [`DepthReport`]: errors of depth maps, with their protocol |
+//! | [`relative_pose_error`] | [`RelativePoseReport`]: errors of camera motion |
 //!
-//! All of them take the same two slices, [`GroundTruth`] and [`Prediction`].
-//! Nothing here reads or writes files.
+//! The figures of a detector take the same two slices, [`GroundTruth`] and
+//! [`Prediction`]. Nothing here reads or writes files.
 //!
 //! ```
 //! use realnet_core::BoundingBox;
@@ -33,7 +36,9 @@
 mod coco;
 mod confusion;
 mod curves;
+pub mod depth;
 mod index;
+pub mod odometry;
 pub mod plot;
 mod report;
 mod types;
@@ -41,6 +46,12 @@ mod types;
 pub use coco::{AreaRange, ClassScore, CocoOptions, CocoSummary, evaluate};
 pub use confusion::{ConfusionMatrix, ConfusionOptions, confusion_matrix};
 pub use curves::{ClassCurves, ConfidenceCurves, OperatingPoint, confidence_curves};
+pub use depth::{
+    DepthCrop, DepthErrors, DepthEvalError, DepthMetrics, DepthProtocol, DepthReport, Pooling,
+};
+pub use odometry::{
+    ErrorSummary, OdometryError, RelativePoseErrors, RelativePoseReport, relative_pose_error,
+};
 pub use plot::PlotError;
 pub use report::{ClassReport, Report};
 pub use types::{EvalError, GroundTruth, Prediction};
