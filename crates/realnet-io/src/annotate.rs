@@ -1,4 +1,8 @@
-//! Boxes and labels drawn on a frame.
+//! Boxes, labels, corners and their flow drawn on a frame.
+
+mod flow;
+
+pub use flow::{FlowMark, FlowSide, direction_color, side_by_side};
 
 use ab_glyph::{Font, FontRef, GlyphId, InvalidFont, PxScale, ScaleFont, point};
 use realnet_core::{BoundingBox, Detection, Frame, PixelFormat};

@@ -6,7 +6,7 @@
 //! | [`depth`] | grey PNG and PGM files to [`DepthMap`](realnet_core::DepthMap) |
 //! | [`source`] | one iterator over pictures, folders, globs, video, streams and cameras |
 //! | [`video`] | annotated video through an installed ffmpeg |
-//! | [`annotate`] | boxes and labels drawn on a frame |
+//! | [`annotate`] | boxes, labels and flow drawn on a frame |
 //! | [`datasets`] | YOLO `data.yaml`, COCO json, RGB-D sequences, boxes of a target |
 //! | [`results`] | JSON lines, YOLO text and COCO results of a run |
 //! | [`atomic`] | files that are whole or not there |
