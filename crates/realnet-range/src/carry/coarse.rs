@@ -6,7 +6,7 @@ use realnet_core::{BoundingBox, Frame, Stamp};
 use realnet_vision::{PatchSearch, Pyramid, Window};
 
 /// Pixels of the patch that is searched for.
-const AREA: f32 = 600.0;
+const AREA: f32 = 400.0;
 /// The patch is the box enlarged by this share of each side, at each side.
 const MARGIN: f32 = 0.1;
 /// Two places closer than this share of the box's longer side are one.

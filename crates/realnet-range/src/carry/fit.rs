@@ -28,8 +28,8 @@ pub(super) struct Fit {
     pub(super) similarity: Similarity,
     /// Points within the tolerance.
     pub(super) inliers: usize,
-    /// Standard deviation of the shift at the origin, along each axis.
-    pub(super) shift_sd: f32,
+    /// Standard deviation of the shift at the origin, in x and y.
+    pub(super) shift_sd: [f32; 2],
     /// Standard deviation of the scale.
     pub(super) scale_sd: f32,
 }
@@ -66,7 +66,8 @@ pub(super) fn fit(
             best = Some((cost, model));
         }
     }
-    let mut fit = Fit { similarity: best?.1, inliers: 0, shift_sd: f32::NAN, scale_sd: f32::NAN };
+    let mut fit =
+        Fit { similarity: best?.1, inliers: 0, shift_sd: [f32::NAN; 2], scale_sd: f32::NAN };
     for _ in 0..3 {
         fit = least_squares(pairs, fit.similarity, square)?;
     }
@@ -110,17 +111,21 @@ fn least_squares(pairs: &[Pair], model: Similarity, square: f32) -> Option<Fit> 
     }
     let scale = product / spread;
     let similarity = Similarity { scale, shift: [0, 1].map(|i| to[i] - scale * from[i]) };
-    let squares: f32 = inliers().map(|pair| similarity.residual(pair)).sum();
-    // Two coordinates a point, three parameters.
-    let variance = squares / (2.0 * n - 3.0).max(1.0);
-    // The mean's shift has variance / n; at the origin the scale's error adds to it.
-    let lever = (from[0] * from[0] + from[1] * from[1]) / (2.0 * spread);
-    Some(Fit {
-        similarity,
-        inliers: count,
-        shift_sd: (variance * (1.0 / n + lever)).sqrt(),
-        scale_sd: (variance / spread).sqrt(),
-    })
+    let squares = [0, 1].map(|i| {
+        let residual = |pair: &Pair| scale * pair.from[i] + similarity.shift[i] - pair.to[i];
+        inliers().map(|pair| residual(pair).powi(2)).sum::<f32>()
+    });
+    // Two coordinates a point, three parameters; half of the scale's for each axis.
+    let variance = squares.map(|sum| sum / (n - 1.5).max(0.5));
+    // Points of a box err together: what a turn of the target or its parallax does to
+    // one point it does to the neighbours. So the mean is no surer than one point.
+    // Mean squared distance from the middle of the points. At the origin the error
+    // of the scale adds to that of the middle.
+    let reach = spread / n;
+    let scale_variance = (variance[0] + variance[1]) / (2.0 * reach);
+    let shift_sd =
+        [0, 1].map(|i| (variance[i] + from[i] * from[i] * scale_variance).sqrt());
+    Some(Fit { similarity, inliers: count, shift_sd, scale_sd: scale_variance.sqrt() })
 }
 
 impl Fit {

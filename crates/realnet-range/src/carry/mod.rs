@@ -33,6 +33,14 @@ impl Motion {
     }
 }
 
+impl Motion {
+    /// Whether two motions of a box with this longer side end in each other's reach.
+    fn is_close(&self, other: Self, side: f32) -> bool {
+        let [dx, dy] = [0, 1].map(|i| self.shift[i] - other.shift[i]);
+        dx.hypot(dy) < 0.1 * side && (self.scale / other.scale).ln().abs() < 0.1
+    }
+}
+
 /// Where and when [`BoxCarrier`] searches. Lengths are in sides of the box: its
 /// longer side.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +100,7 @@ impl Default for CarryOptions {
             max_points: 60,
             min_inliers: 6,
             min_share: 0.2,
-            tolerance: 0.03,
+            tolerance: 0.04,
             min_similarity: 0.5,
             sure_similarity: 0.85,
             search: Some(SearchOptions::default()),
@@ -128,8 +136,9 @@ pub struct Carried {
     pub similarity: f32,
     /// Whether the prediction did not do and a search was needed.
     pub searched: bool,
-    /// Standard deviation of the centre along each axis, in pixels.
-    pub center_sd: f32,
+    /// Standard deviation of the centre in x and y, in pixels. Like `size_sd` it is
+    /// that of this step alone: over several, variances add up.
+    pub center_sd: [f32; 2],
     /// Standard deviation of width and height, as a share of them.
     pub size_sd: f32,
 }
@@ -283,36 +292,53 @@ impl BoxCarrier {
         self.points.clear();
         self.check(from, to, bbox, prediction)?;
         self.aligner.start(from, bbox, &self.options)?;
-        let mut best = self.attempt((from, to), bbox, prediction);
-        let sure = |attempt: &Attempt, sure| matches!(attempt, Ok(c) if c.similarity >= sure);
-        if sure(&best, self.options.sure_similarity) {
+        let mut best = self.attempt(to, bbox, prediction, None);
+        let Some(search) = self.options.search.filter(|_| !self.is_sure(&best)) else {
             return best;
-        }
-        let Some(search) = self.options.search else { return best };
-        let mut places = [Motion::NONE; PLACES];
+        };
+        let mut places = [None; PLACES];
         let found = self.coarse.run((from, to), bbox, prediction, &search);
-        let count = found.len().min(PLACES);
         for (motion, place) in places.iter_mut().zip(found) {
-            *motion = place.motion;
+            *motion = Some(place.motion);
         }
-        for &start in places.iter().take(count) {
-            let attempt = self.attempt((from, to), bbox, start);
-            if rank(&attempt) > rank(&best) {
-                best = attempt;
+        let side = bbox.width().max(bbox.height());
+        for start in places.into_iter().flatten() {
+            // From there it would lead to the same place again.
+            if best.as_ref().is_ok_and(|carried| carried.motion.is_close(start, side)) {
+                continue;
+            }
+            best = self.attempt(to, bbox, start, Some(best));
+            if self.is_sure(&best) {
+                break;
             }
         }
-        let carried = best.inspect_err(|_| self.points.clear())?;
-        Ok(Carried { searched: true, ..carried })
+        best.map(|carried| Carried { searched: true, ..carried })
     }
 
-    /// Aligns from one starting motion; keeps the points if nothing better is kept.
+    fn is_sure(&self, attempt: &Attempt) -> bool {
+        attempt.as_ref().is_ok_and(|carried| carried.similarity >= self.options.sure_similarity)
+    }
+
+    /// Aligns from one starting motion. Returns the better of the outcome and
+    /// `before`, and keeps the points that belong to it.
     fn attempt(
         &mut self,
-        pictures: (&Pyramid, &Pyramid),
+        to: &Pyramid,
         bbox: &BoundingBox,
         start: Motion,
+        before: Option<Attempt>,
     ) -> Attempt {
-        self.aligner.align(pictures, bbox, start, &self.options, &mut self.points)
+        let attempt = self.aligner.align(to, bbox, start, &self.options);
+        match before {
+            Some(before) if rank(&before) >= rank(&attempt) => before,
+            _ => {
+                self.points.clear();
+                if attempt.is_ok() {
+                    self.points.extend_from_slice(self.aligner.carried());
+                }
+                attempt
+            }
+        }
     }
 
     fn check(
