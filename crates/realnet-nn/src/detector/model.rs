@@ -2,9 +2,9 @@
 
 use super::decode::{Layout, Level};
 use crate::{
-    onnx::{Dim, OnnxError, OnnxModel},
+    onnx::{Dim, OnnxError, OnnxModel, check_size},
     weights::{Checkpoint, WeightsError},
-    yolov5::{DetectorMetadata, ExportError, ImportError, OnnxOptions, YoloV5, check_size},
+    yolov5::{DetectorMetadata, ExportError, ImportError, OnnxOptions, YoloV5},
 };
 use std::path::{Path, PathBuf};
 use thiserror::Error;

@@ -11,14 +11,16 @@
 //! ```
 
 mod edit;
-
 pub mod proto;
+pub(crate) mod writer;
 
 use std::collections::{BTreeMap, HashSet};
 
 pub(crate) use edit::value_info;
 use prost::{Message, bytes::Bytes};
 use thiserror::Error;
+pub(crate) use writer::check_size;
+pub use writer::{ExportError, OnnxOptions};
 
 use proto::{
     DimensionValue, GraphProto, ModelProto, StringStringEntryProto, TypeValue, ValueInfoProto,

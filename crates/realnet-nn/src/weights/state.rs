@@ -122,7 +122,8 @@ struct Reader<'a, S> {
 
 impl<'a, S: Source> Reader<'a, S> {
     /// Finds the network: a module, a dictionary holding one (the moving
-    /// average `ema` before `model`, then `state_dict`), or named tensors.
+    /// average `ema` before `model`, then `state_dict` and
+    /// `model_state_dict`), or named tensors.
     fn network(&mut self, root: Id) -> Result<(), WeightsError> {
         let pickle = self.pickle;
         if self.is_module(root) {
@@ -132,7 +133,7 @@ impl<'a, S: Source> Reader<'a, S> {
             let reason = format!("its root is {}", pickle.describe(root));
             return Err(WeightsError::NoNetwork { reason });
         }
-        for key in ["ema", "model", "state_dict"] {
+        for key in ["ema", "model", "state_dict", "model_state_dict"] {
             let Some(id) = pickle.lookup(root, key) else { continue };
             if self.is_module(id) {
                 return self.module(id, "", 0);
@@ -152,7 +153,7 @@ impl<'a, S: Source> Reader<'a, S> {
             .take(12)
             .collect();
         let reason = format!(
-            "neither modules nor tensors under 'ema', 'model' or 'state_dict'; the keys are [{}]",
+            "neither modules nor tensors under 'ema', 'model', 'state_dict' or 'model_state_dict'; the keys are [{}]",
             keys.join(", ")
         );
         Err(WeightsError::NoNetwork { reason })

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use super::fold::{BatchNorm, focus_kernel, fold};
-use super::graph::{Activation, Bottleneck, Conv, Csp, Layer, Op, Spp};
+use super::graph::{Bottleneck, Csp, Layer, Op, Spp};
 use super::plan::{Kind, Step, plan};
 use super::{ImportError, YoloV5, coco};
+use crate::fold::{BatchNorm, focus_kernel, fold};
+use crate::layer::{Activation, Conv};
 use crate::weights::{Checkpoint, ModuleInfo, Tensor};
 
 /// Epsilon of batch normalisation in YOLOv5.
@@ -363,6 +364,7 @@ impl<'a> Reader<'a> {
             bias,
             stride: numbers.stride,
             pad: numbers.pad,
+            dilation: 1,
             groups: numbers.groups,
             activation,
         })
@@ -400,7 +402,7 @@ impl<'a> Reader<'a> {
         finite(&name, weight)?;
         let shape = [out, channels, 1, 1];
         let (weight, bias) = (weight.data().to_vec(), vec![0.0; out]);
-        Ok(Conv { shape, weight, bias, stride: 1, pad: 0, groups: 1, activation })
+        Ok(Conv { shape, weight, bias, stride: 1, pad: 0, dilation: 1, groups: 1, activation })
     }
 
     fn biased_conv(&mut self, path: &str, input: usize) -> Result<Conv, ImportError> {

@@ -1,86 +1,11 @@
 //! Writes a network as ONNX.
 
-use half::f16;
-use thiserror::Error;
-
 use super::YoloV5;
-use super::graph::{Activation, Bottleneck, Conv, Csp, Op, Spp};
+use super::graph::{Bottleneck, Csp, Op, Spp};
 use crate::class_names::write_names;
-use crate::onnx::proto::{
-    AttributeProto, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto,
-    TensorProto, ValueInfoProto, attribute_type, data_type,
-};
-use crate::onnx::{Dim, ElementType, value_info};
-use prost::Message;
-
-/// Operator set written: all operators used are unchanged since, and every
-/// ONNX Runtime of the last years, TensorRT 8 and rten know it.
-const OPSET: i64 = 13;
-/// The version of the file format that came with it.
-const IR_VERSION: i64 = 7;
-
-/// How a network is written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct OnnxOptions {
-    /// Width of the input in pixels.
-    pub width: usize,
-    /// Height of the input in pixels.
-    pub height: usize,
-    /// Weights as 16-bit floats: half the size, computed in 32 bits all the same.
-    pub half: bool,
-}
-
-/// Why a network cannot be written.
-#[derive(Debug, Error, Clone, PartialEq, Eq)]
-pub enum ExportError {
-    /// An input size that the strides do not divide.
-    #[error("input {what} {value} is not a positive multiple of {stride}; the next one is {next}")]
-    InputSize {
-        /// `width` or `height`.
-        what: &'static str,
-        /// The size asked for in pixels.
-        value: usize,
-        /// The largest stride in pixels.
-        stride: usize,
-        /// The next size in pixels that fits.
-        next: usize,
-    },
-    /// An input size beyond what the output can count.
-    #[error("input {what} {value} is more than {limit} pixels")]
-    TooLarge {
-        /// `width` or `height`.
-        what: &'static str,
-        /// The size asked for in pixels.
-        value: usize,
-        /// The limit in pixels.
-        limit: usize,
-    },
-    /// A weight too large for a 16-bit float.
-    #[error("tensor '{name}' holds {value}, too large for a 16-bit float")]
-    HalfRange {
-        /// Name of the tensor in the file.
-        name: String,
-        /// The weight.
-        value: String,
-    },
-}
-
-/// Largest width or height, in pixels.
-const MAX_SIZE: usize = crate::engine::MAX_SIDE as usize;
-
-/// Whether a network whose largest stride is `stride` can have this input size.
-pub(crate) fn check_size(width: usize, height: usize, stride: usize) -> Result<(), ExportError> {
-    for (what, value) in [("width", width), ("height", height)] {
-        if value > MAX_SIZE {
-            return Err(ExportError::TooLarge { what, value, limit: MAX_SIZE });
-        }
-        if value == 0 || !value.is_multiple_of(stride) {
-            let next = value.max(1).next_multiple_of(stride);
-            return Err(ExportError::InputSize { what, value, stride, next });
-        }
-    }
-    Ok(())
-}
+use crate::onnx::proto::ValueInfoProto;
+use crate::onnx::writer::{GraphWriter, int, ints, text};
+use crate::onnx::{Dim, ElementType, ExportError, OnnxOptions, check_size, value_info};
 
 impl YoloV5 {
     /// Writes the network as an ONNX file, complete in one piece.
@@ -101,11 +26,10 @@ impl YoloV5 {
     /// weight does not fit 16 bits.
     pub fn to_onnx(&self, options: &OnnxOptions) -> Result<Vec<u8>, ExportError> {
         check_size(options.width, options.height, self.max_stride())?;
-        let mut writer = Writer { graph: GraphProto::default(), half: options.half };
+        let mut writer = GraphWriter::new("yolov5", options.half);
         let heads = self.write_layers(&mut writer)?;
         self.write_decoding(&mut writer, options, &heads);
-        let mut graph = writer.graph;
-        graph.name = "yolov5".to_owned();
+        let graph = &mut writer.graph;
         let size = [options.height, options.width];
         let fixed = |dims: &[usize]| -> Vec<Dim> { dims.iter().map(|&n| Dim::Fixed(n)).collect() };
         let float = |name: &str, dims: &[usize]| -> ValueInfoProto {
@@ -119,34 +43,22 @@ impl YoloV5 {
             let dims = [1, channels, options.height / stride, options.width / stride];
             graph.value_info.push(float(name, &dims));
         }
-        let model = ModelProto {
-            ir_version: Some(IR_VERSION),
-            producer_name: "realnet".to_owned(),
-            producer_version: env!("CARGO_PKG_VERSION").to_owned(),
-            graph: Some(graph),
-            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: Some(OPSET) }],
-            metadata_props: self.metadata(size, &heads),
-            ..Default::default()
-        };
-        Ok(model.encode_to_vec())
+        Ok(writer.finish(self.metadata(size, &heads)))
     }
 
-    fn metadata(&self, size: [usize; 2], heads: &[String]) -> Vec<StringStringEntryProto> {
-        let entries = [
+    fn metadata(&self, size: [usize; 2], heads: &[String]) -> Vec<(&'static str, String)> {
+        vec![
             ("names", write_names(&self.names)),
             ("stride", self.max_stride().to_string()),
             ("imgsz", format!("{size:?}")),
             ("anchors", format!("{:?}", self.anchors)),
             ("realnet_heads", heads.join(",")),
             ("realnet_strides", format!("{:?}", self.strides)),
-        ];
-        let entry =
-            |(key, value): (&str, String)| StringStringEntryProto { key: key.to_owned(), value };
-        entries.into_iter().map(entry).collect()
+        ]
     }
 
     /// Writes all layers; returns the names of the heads.
-    fn write_layers(&self, writer: &mut Writer) -> Result<Vec<String>, ExportError> {
+    fn write_layers(&self, writer: &mut GraphWriter) -> Result<Vec<String>, ExportError> {
         let mut outputs: Vec<String> = Vec::new();
         let mut heads = Vec::new();
         for (index, layer) in self.layers.iter().enumerate() {
@@ -182,7 +94,7 @@ impl YoloV5 {
     /// Writes the decoding of boxes after the heads, as YOLOv5 defines it:
     /// with y = sigmoid(head), centre = (2y − 0.5 + cell)·stride,
     /// size = (2y)²·anchor.
-    fn write_decoding(&self, writer: &mut Writer, options: &OnnxOptions, heads: &[String]) {
+    fn write_decoding(&self, writer: &mut GraphWriter, options: &OnnxOptions, heads: &[String]) {
         let columns = 5 + self.names.len();
         writer.int_constant("decode.split", &[2, 2, columns - 4]);
         let mut all = Vec::new();
@@ -227,67 +139,7 @@ impl YoloV5 {
     }
 }
 
-struct Writer {
-    graph: GraphProto,
-    half: bool,
-}
-
-impl Writer {
-    // Layers: each returns the name of its output.
-
-    fn conv(&mut self, path: &str, input: &str, conv: &Conv) -> Result<String, ExportError> {
-        let output = format!("{path}.out");
-        self.conv_to(path, input, conv, &output)?;
-        Ok(output)
-    }
-
-    fn conv_to(
-        &mut self,
-        path: &str,
-        input: &str,
-        conv: &Conv,
-        output: &str,
-    ) -> Result<(), ExportError> {
-        let weight = self.weight(&format!("{path}.weight"), &conv.shape, &conv.weight)?;
-        let bias = self.weight(&format!("{path}.bias"), &[conv.out()], &conv.bias)?;
-        let kernel = conv.shape[2];
-        let attributes = vec![
-            ints("dilations", &[1, 1]),
-            int("group", conv.groups),
-            ints("kernel_shape", &[kernel, kernel]),
-            ints("pads", &[conv.pad; 4]),
-            ints("strides", &[conv.stride; 2]),
-        ];
-        let linear = format!("{path}.linear");
-        let after = if conv.activation == Activation::Identity { output } else { &linear };
-        self.node("Conv", &[input, &weight, &bias], &[after], attributes);
-        self.activation(path, &linear, conv.activation, output);
-        Ok(())
-    }
-
-    fn activation(&mut self, path: &str, input: &str, activation: Activation, output: &str) {
-        match activation {
-            Activation::Identity => {}
-            Activation::Silu => {
-                // The pair that engines know and fuse.
-                let gate = format!("{path}.gate");
-                self.node("Sigmoid", &[input], &[&gate], vec![]);
-                self.node("Mul", &[input, &gate], &[output], vec![]);
-            }
-            Activation::Hardswish => {
-                // x·max(0, min(1, x/6 + 1/2)); the operator HardSwish is newer than the opset.
-                let gate = format!("{path}.gate");
-                let attributes = vec![float("alpha", 1.0 / 6.0), float("beta", 0.5)];
-                self.node("HardSigmoid", &[input], &[&gate], attributes);
-                self.node("Mul", &[input, &gate], &[output], vec![]);
-            }
-            Activation::Relu => self.node("Relu", &[input], &[output], vec![]),
-            Activation::LeakyRelu(slope) => {
-                self.node("LeakyRelu", &[input], &[output], vec![float("alpha", slope)]);
-            }
-        }
-    }
-
+impl GraphWriter {
     fn bottlenecks(
         &mut self,
         path: &str,
@@ -340,9 +192,7 @@ impl Writer {
 
     fn upsample(&mut self, path: &str, input: &str) -> String {
         let (output, scales) = (format!("{path}.up"), "upsample.scales");
-        if !self.graph.initializer.iter().any(|t| t.name == scales) {
-            self.float_constant(scales, &[4], &[1.0, 1.0, 2.0, 2.0]);
-        }
+        self.shared_float_constant(scales, &[4], &[1.0, 1.0, 2.0, 2.0]);
         let attributes = vec![
             text("coordinate_transformation_mode", "asymmetric"),
             text("mode", "nearest"),
@@ -351,96 +201,4 @@ impl Writer {
         self.node("Resize", &[input, "", scales], &[&output], attributes);
         output
     }
-
-    fn concat(&mut self, path: &str, inputs: &[&str], axis: usize) -> String {
-        let output = format!("{path}.cat");
-        self.node("Concat", inputs, &[&output], vec![int("axis", axis)]);
-        output
-    }
-
-    // Nodes and constants.
-
-    fn node(
-        &mut self,
-        op: &str,
-        inputs: &[&str],
-        outputs: &[&str],
-        attribute: Vec<AttributeProto>,
-    ) {
-        self.graph.node.push(NodeProto {
-            input: inputs.iter().map(|s| (*s).to_owned()).collect(),
-            output: outputs.iter().map(|s| (*s).to_owned()).collect(),
-            name: format!("{op}:{}", outputs.first().copied().unwrap_or_default()),
-            op_type: op.to_owned(),
-            attribute,
-            ..Default::default()
-        });
-    }
-
-    /// A weight in the precision asked for; returns the name to read it by.
-    fn weight(&mut self, name: &str, shape: &[usize], data: &[f32]) -> Result<String, ExportError> {
-        if !self.half {
-            self.float_constant(name, shape, data);
-            return Ok(name.to_owned());
-        }
-        if let Some(large) = data.iter().find(|x| f16::from_f32(**x).is_infinite()) {
-            let value = large.to_string();
-            return Err(ExportError::HalfRange { name: name.to_owned(), value });
-        }
-        let stored = format!("{name}.half");
-        let bytes = data.iter().flat_map(|&x| f16::from_f32(x).to_le_bytes()).collect();
-        self.constant(&stored, shape, data_type::FLOAT16, bytes);
-        let to = AttributeProto {
-            i: Some(i64::from(data_type::FLOAT)),
-            ..attribute("to", attribute_type::INT)
-        };
-        self.node("Cast", &[&stored], &[name], vec![to]);
-        Ok(name.to_owned())
-    }
-
-    fn float_constant(&mut self, name: &str, shape: &[usize], data: &[f32]) {
-        let bytes = data.iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.constant(name, shape, data_type::FLOAT, bytes);
-    }
-
-    fn int_constant(&mut self, name: &str, data: &[usize]) {
-        let bytes = data.iter().flat_map(|&x| to_i64(x).to_le_bytes()).collect();
-        self.constant(name, &[data.len()], data_type::INT64, bytes);
-    }
-
-    fn constant(&mut self, name: &str, shape: &[usize], data_type: i32, bytes: Vec<u8>) {
-        self.graph.initializer.push(TensorProto {
-            dims: shape.iter().map(|&n| to_i64(n)).collect(),
-            data_type: Some(data_type),
-            name: name.to_owned(),
-            raw_data: Some(bytes.into()),
-            ..Default::default()
-        });
-    }
-}
-
-fn to_i64(n: usize) -> i64 {
-    i64::try_from(n).unwrap_or(i64::MAX)
-}
-
-fn attribute(name: &str, kind: i32) -> AttributeProto {
-    AttributeProto { name: name.to_owned(), r#type: Some(kind), ..Default::default() }
-}
-
-fn int(name: &str, value: usize) -> AttributeProto {
-    AttributeProto { i: Some(to_i64(value)), ..attribute(name, attribute_type::INT) }
-}
-
-fn ints(name: &str, values: &[usize]) -> AttributeProto {
-    let ints = values.iter().map(|&n| to_i64(n)).collect();
-    AttributeProto { ints, ..attribute(name, attribute_type::INTS) }
-}
-
-fn float(name: &str, value: f32) -> AttributeProto {
-    AttributeProto { f: Some(value), ..attribute(name, attribute_type::FLOAT) }
-}
-
-fn text(name: &str, value: &str) -> AttributeProto {
-    let s = Some(value.as_bytes().to_vec());
-    AttributeProto { s, ..attribute(name, attribute_type::STRING) }
 }

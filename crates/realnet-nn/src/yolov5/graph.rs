@@ -1,35 +1,6 @@
 //! The layers of a network, batch normalisation already folded.
 
-/// What follows a convolution.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Activation {
-    Identity,
-    Silu,
-    Hardswish,
-    Relu,
-    LeakyRelu(f32),
-}
-
-/// A convolution with square kernel and bias.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Conv {
-    /// Output channels, input channels per group, kernel, kernel.
-    pub shape: [usize; 4],
-    /// Row-major over `shape`.
-    pub weight: Vec<f32>,
-    /// One per output channel.
-    pub bias: Vec<f32>,
-    pub stride: usize,
-    pub pad: usize,
-    pub groups: usize,
-    pub activation: Activation,
-}
-
-impl Conv {
-    pub(super) fn out(&self) -> usize {
-        self.shape[0]
-    }
-}
+use crate::layer::Conv;
 
 /// Two convolutions with an optional shortcut.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,6 +69,6 @@ impl Op {
 
     /// Number of weights and biases.
     pub(super) fn parameters(&self) -> usize {
-        self.convs().iter().map(|c| c.weight.len() + c.bias.len()).sum()
+        self.convs().iter().map(|c| c.parameters()).sum()
     }
 }

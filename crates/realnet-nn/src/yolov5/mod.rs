@@ -17,7 +17,6 @@
 mod build;
 mod coco;
 mod export;
-mod fold;
 mod graph;
 mod metadata;
 mod plan;
@@ -25,8 +24,7 @@ mod plan;
 use thiserror::Error;
 
 pub use crate::class_names::{NamesError, parse_names};
-pub(crate) use export::check_size;
-pub use export::{ExportError, OnnxOptions};
+pub use crate::onnx::{ExportError, OnnxOptions};
 pub use metadata::{DetectorMetadata, MetadataError};
 
 use crate::weights::Checkpoint;

@@ -2,7 +2,7 @@
 
 /// Batch normalisation at run time: `(x − mean) / sqrt(var + eps) · weight + bias`.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct BatchNorm<'a> {
+pub(crate) struct BatchNorm<'a> {
     pub weight: &'a [f32],
     pub bias: &'a [f32],
     pub mean: &'a [f32],
@@ -14,7 +14,7 @@ pub(super) struct BatchNorm<'a> {
 ///
 /// `weight` has as many rows as the normalisation has channels. Returns the new
 /// weights and biases: with s = γ / sqrt(var + ε) they are W·s and (b − mean)·s + β.
-pub(super) fn fold(weight: &[f32], bias: Option<&[f32]>, bn: &BatchNorm) -> (Vec<f32>, Vec<f32>) {
+pub(crate) fn fold(weight: &[f32], bias: Option<&[f32]>, bn: &BatchNorm) -> (Vec<f32>, Vec<f32>) {
     let channels = bn.weight.len();
     let row = weight.len() / channels.max(1);
     let mut folded = Vec::with_capacity(weight.len());
@@ -36,7 +36,7 @@ pub(super) fn fold(weight: &[f32], bias: Option<&[f32]>, bn: &BatchNorm) -> (Vec
 /// (0,0), (1,0), (0,1), (1,1). A `k`x`k` kernel of shape `[out, 4·channels, k, k]`
 /// with padding p and stride 1 over that equals a `2k`x`2k` kernel of shape
 /// `[out, channels, 2k, 2k]` with padding 2p and stride 2 over the image.
-pub(super) fn focus_kernel(kernel: &[f32], out: usize, channels: usize, k: usize) -> Vec<f32> {
+pub(crate) fn focus_kernel(kernel: &[f32], out: usize, channels: usize, k: usize) -> Vec<f32> {
     let mut wide = Vec::with_capacity(kernel.len());
     for o in 0..out {
         for c in 0..channels {

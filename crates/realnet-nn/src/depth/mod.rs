@@ -1,0 +1,323 @@
+//! The depth network at run time: a frame in, metres out.
+//!
+//! A [`DepthNet`] letterboxes a frame into the network's input, normalises it, runs
+//! the network up to its logits, and does the rest itself: softmax, weighted sum
+//! over the bins and exponential in one pass ([`SoftSum`]), then one bilinear
+//! resize of the depths (not of the logits, of which there are as many as bins).
+//! Engines take several times as long for these steps.
+//!
+//! # Which depth is right for which camera
+//!
+//! A picture alone does not tell a near small thing from a far large one: a network
+//! learns depth for one focal length ([`DepthCoding::focal`], in pixels of its
+//! input). With a [`CameraModel`] the depths are multiplied by the camera's focal
+//! length, in pixels of the input after the resize, over the network's. Without
+//! one they are left as they are, and are metres only for a camera whose focal
+//! length happens to be the network's.
+
+mod coding;
+mod model;
+mod resample;
+mod soft_sum;
+
+pub use coding::{Alignment, CodingError, DepthCoding, DepthMetadata, DepthMetadataError};
+pub use model::{DepthModel, DepthModelError, Detail};
+pub use soft_sum::SoftSum;
+
+use crate::{
+    detector::Stage,
+    engine::{Engine, EngineChoice, EngineError, Runtime, RuntimeOptions, TensorView},
+};
+use realnet_core::{CameraModel, DepthMap, DepthMapError, Frame};
+use realnet_vision::{Filter, Letterbox, Letterboxer, VisionError};
+use resample::{Axis, Resampler};
+use std::path::Path;
+use thiserror::Error;
+
+/// Size of the depth maps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DepthSize {
+    /// That of the picture on the network's input, without the bars.
+    #[default]
+    Network,
+    /// That of the frame: a depth for every pixel.
+    Frame,
+    /// (width, height).
+    Fixed(u32, u32),
+}
+
+/// How depth is to be computed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct DepthOptions {
+    /// Input size of the network, (width, height) in pixels; `None` takes the
+    /// file's own, or 256x256 for weights.
+    pub size: Option<(u32, u32)>,
+    /// Which logits of the network.
+    pub detail: Detail,
+    /// Size of the depth maps. Whatever it is, a map covers the whole frame: its
+    /// pixel (x, y) has the centre `(x + 0.5)·W/w − 0.5` of a frame W wide.
+    pub output: DepthSize,
+    /// How a frame is fitted into the input.
+    pub filter: Filter,
+}
+
+/// Why a depth network could not be made or failed.
+#[derive(Debug, Error)]
+pub enum DepthError {
+    /// The model file.
+    #[error(transparent)]
+    Model(#[from] DepthModelError),
+    /// The engine.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// The picture.
+    #[error(transparent)]
+    Vision(#[from] VisionError),
+    /// The size of the depth map.
+    #[error(transparent)]
+    Map(#[from] DepthMapError),
+    /// The camera is for other pictures.
+    #[error(
+        "the camera is for pictures of {}x{} pixels, the frame has {}x{}",
+        camera.0, camera.1, frame.0, frame.1
+    )]
+    CameraSize {
+        /// Width and height of the camera's pictures.
+        camera: (u32, u32),
+        /// Width and height of the frame.
+        frame: (u32, u32),
+    },
+    /// The network's output.
+    #[error("the depth network returned {found}, expected one tensor [1, bins, h, w] not larger than its input of {}x{}", input.0, input.1)]
+    Output {
+        /// Names and shapes found.
+        found: String,
+        /// Width and height of the input.
+        input: (u32, u32),
+    },
+}
+
+/// Predicts depth for frames.
+///
+/// ```no_run
+/// # fn demo(frame: realnet_core::Frame, camera: realnet_core::CameraModel) -> Result<(), Box<dyn std::error::Error>> {
+/// use realnet_nn::depth::DepthNet;
+///
+/// let mut net = DepthNet::open("vnl.safetensors".as_ref())?;
+/// let map = net.depth(&frame, Some(&camera))?;
+/// println!("{:?} m in the middle", map.at(map.width() / 2, map.height() / 2));
+/// # Ok(())
+/// # }
+/// ```
+pub struct DepthNet {
+    engine: Box<dyn Engine>,
+    letterboxer: Letterboxer,
+    metadata: DepthMetadata,
+    output: DepthSize,
+    sum: SoftSum,
+    /// Depths where the network predicts them, for its own focal length or the
+    /// camera's.
+    samples: Vec<f32>,
+    resampler: Resampler,
+}
+
+impl DepthNet {
+    /// The network in a file, on the embedded engine, with default options.
+    ///
+    /// # Errors
+    /// [`DepthError`] when the file cannot be read or is no depth network.
+    pub fn open(path: &Path) -> Result<Self, DepthError> {
+        let runtime =
+            Runtime::start(&RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() });
+        Self::new(&DepthModel::open(path)?, &runtime, &DepthOptions::default())
+    }
+
+    /// Loads `model` into an engine of `runtime`.
+    ///
+    /// # Errors
+    /// [`DepthError`] when the model cannot have the asked size, the size of the
+    /// output is empty, or the engine refuses the network.
+    pub fn new(
+        model: &DepthModel,
+        runtime: &Runtime,
+        options: &DepthOptions,
+    ) -> Result<Self, DepthError> {
+        if let DepthSize::Fixed(width, height) = options.output
+            && (width == 0 || height == 0)
+        {
+            return Err(DepthMapError::Empty { width, height }.into());
+        }
+        let (network, metadata) = model.network(options.size, options.detail)?;
+        let engine = runtime.load(network)?;
+        let (width, height) = engine.input_size();
+        Ok(Self {
+            letterboxer: Letterboxer::new(width, height, options.filter)?,
+            engine,
+            sum: SoftSum::new(&metadata.coding, 0),
+            metadata,
+            output: options.output,
+            samples: Vec::new(),
+            resampler: Resampler::default(),
+        })
+    }
+
+    /// The network's input size, (width, height).
+    #[must_use]
+    pub fn input_size(&self) -> (u32, u32) {
+        self.engine.input_size()
+    }
+
+    /// What runs the network.
+    #[must_use]
+    pub fn engine(&self) -> String {
+        self.engine.describe()
+    }
+
+    /// How the network's numbers are metres.
+    #[must_use]
+    pub fn coding(&self) -> &DepthCoding {
+        &self.metadata.coding
+    }
+
+    /// The depth of `frame` in metres, with its stamp; `camera` is the one that
+    /// took it, its lens left out of account.
+    ///
+    /// # Errors
+    /// [`DepthError`] when the camera is for other pictures, or the engine fails or
+    /// returns what it should not.
+    pub fn depth(
+        &mut self,
+        frame: &Frame,
+        camera: Option<&CameraModel>,
+    ) -> Result<DepthMap, DepthError> {
+        self.depth_marked(frame, camera, Vec::new(), &mut |_| {})
+    }
+
+    /// As [`DepthNet::depth`], in the memory of an earlier map
+    /// ([`DepthMap::into_data`]), and calls `mark` at the end of each stage, so that
+    /// a caller with a clock can time them. Nothing but the engine allocates then,
+    /// after the first frame of a size.
+    ///
+    /// # Errors
+    /// As [`DepthNet::depth`].
+    pub fn depth_marked(
+        &mut self,
+        frame: &Frame,
+        camera: Option<&CameraModel>,
+        memory: Vec<f32>,
+        mark: &mut dyn FnMut(Stage),
+    ) -> Result<DepthMap, DepthError> {
+        let size = (frame.width(), frame.height());
+        if let Some(camera) = camera
+            && (camera.width(), camera.height()) != size
+        {
+            let camera = (camera.width(), camera.height());
+            return Err(DepthError::CameraSize { camera, frame: size });
+        }
+        let DepthCoding { mean, std, focal, .. } = self.metadata.coding;
+        let input = self.engine.input();
+        let letterbox = self.letterboxer.run(frame, None, input)?;
+        normalise(input, mean, std);
+        mark(Stage::Preprocess);
+        let factor = camera.map_or(1.0, |camera| focal_on_input(camera, &letterbox) / focal);
+        let grid = self.predict(factor, mark)?;
+        let (scaled, input) = (letterbox.scaled_size(), self.engine.input_size());
+        let (width, height) = match self.output {
+            DepthSize::Network => scaled,
+            DepthSize::Frame => size,
+            DepthSize::Fixed(width, height) => (width, height),
+        };
+        let across = Axis {
+            samples: grid.0,
+            input: input.0,
+            start: letterbox.left(),
+            length: scaled.0,
+            target: width,
+        };
+        let down = Axis {
+            samples: grid.1,
+            input: input.1,
+            start: letterbox.top(),
+            length: scaled.1,
+            target: height,
+        };
+        let mut data = memory;
+        data.resize(width as usize * height as usize, DepthMap::UNKNOWN);
+        self.resampler.run(self.metadata.alignment, (across, down), &self.samples, &mut data);
+        let map = DepthMap::new(frame.stamp(), width, height, data)?;
+        mark(Stage::Postprocess);
+        Ok(map)
+    }
+
+    /// Runs the network on its input and reads its logits into `samples`; returns
+    /// the number of samples across and down.
+    fn predict(
+        &mut self,
+        factor: f64,
+        mark: &mut dyn FnMut(Stage),
+    ) -> Result<(u32, u32), DepthError> {
+        let input = self.engine.input_size();
+        let (coding, sum, samples) = (&self.metadata.coding, &mut self.sum, &mut self.samples);
+        let mut grid = None;
+        let mut found = String::new();
+        self.engine.run(&mut |outputs| {
+            mark(Stage::Infer);
+            let Some((bins, width, height, logits)) = as_logits(outputs, input) else {
+                let tell = |o: &TensorView<'_>| format!("'{}' {:?}", o.name, o.shape);
+                found = outputs.iter().map(tell).collect::<Vec<_>>().join(", ");
+                return;
+            };
+            if sum.bins() != bins {
+                *sum = SoftSum::new(coding, bins);
+            }
+            samples.resize(width as usize * height as usize, DepthMap::UNKNOWN);
+            sum.run(logits, factor, samples);
+            grid = Some((width, height));
+        })?;
+        grid.ok_or(DepthError::Output { found, input })
+    }
+}
+
+/// Bins, width, height and values of an output of logits.
+fn as_logits<'a>(
+    outputs: &[TensorView<'a>],
+    input: (u32, u32),
+) -> Option<(usize, u32, u32, &'a [f32])> {
+    let &[TensorView { shape: &[1, bins, height, width], data, .. }] = outputs else { return None };
+    let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
+    let sides = (1..=input.0).contains(&width) && (1..=input.1).contains(&height);
+    let values = bins.checked_mul(width as usize)?.checked_mul(height as usize)?;
+    (bins > 0 && sides && values == data.len()).then_some((bins, width, height, data))
+}
+
+/// Shares of 255 as the network was trained with them, channel by channel.
+fn normalise(input: &mut [f32], mean: [f32; 3], std: [f32; 3]) {
+    let plane = input.len() / 3;
+    let channels = input.chunks_exact_mut(plane.max(1)).zip(mean.into_iter().zip(std));
+    for (plane, (mean, std)) in channels {
+        let (scale, shift) = (1.0 / std, -mean / std);
+        for value in plane {
+            *value = *value * scale + shift;
+        }
+    }
+}
+
+/// The camera's focal length in pixels of the network's input, the geometric mean
+/// of both axes.
+fn focal_on_input(camera: &CameraModel, letterbox: &Letterbox) -> f64 {
+    let (width, height) = letterbox.scaled_size();
+    let fx = camera.fx() * f64::from(width) / f64::from(camera.width());
+    let fy = camera.fy() * f64::from(height) / f64::from(camera.height());
+    (fx * fy).sqrt()
+}
+
+impl std::fmt::Debug for DepthNet {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("DepthNet")
+            .field("engine", &self.engine())
+            .field("input_size", &self.input_size())
+            .field("metadata", &self.metadata)
+            .field("output", &self.output)
+            .finish_non_exhaustive()
+    }
+}
