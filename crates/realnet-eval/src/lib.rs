@@ -47,7 +47,8 @@ pub use coco::{AreaRange, ClassScore, CocoOptions, CocoSummary, evaluate};
 pub use confusion::{ConfusionMatrix, ConfusionOptions, confusion_matrix};
 pub use curves::{ClassCurves, ConfidenceCurves, OperatingPoint, confidence_curves};
 pub use depth::{
-    DepthCrop, DepthErrors, DepthEvalError, DepthMetrics, DepthProtocol, DepthReport, Pooling,
+    DepthCrop, DepthErrors, DepthEvalError, DepthMetrics, DepthProtocol, DepthReport, ImageDepth,
+    Pooling, ScaleSpread,
 };
 pub use odometry::{
     ErrorSummary, OdometryError, RelativePoseErrors, RelativePoseReport, relative_pose_error,
