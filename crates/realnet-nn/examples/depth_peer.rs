@@ -11,12 +11,12 @@
 //!
 //! | form | from | to |
 //! |---|---|---|
-//! | `depth` | input | depth by the whole graph |
+//! | `depth` | input | depth by the file as it is written |
 //! | `full` | input | logits of every pixel by the engine, depth by us |
 //! | `half` | input | logits of every second pixel by the engine, depth by us |
 //! | `frame` | 1280x720 RGB | the whole of `DepthNet` with its default options |
 //!
-//! With `--write` it writes the graph of the form, cut to its output, and ends.
+//! With `--write` it writes the graph of the form and ends.
 #![allow(clippy::print_stdout, reason = "the answer of this program")]
 
 use realnet_core::{Frame, Stamp};
@@ -89,11 +89,8 @@ fn graph(
     if form == "depth" {
         let vnl = Vnl::from_checkpoint(&Checkpoint::read(path)?)?;
         let (width, height) = (size.0 as usize, size.1 as usize);
-        let mut model =
-            OnnxModel::from_vec(vnl.to_onnx(&OnnxOptions { width, height, half: false })?)?;
-        // The branch that nothing reads goes.
-        model.keep_outputs(&["depth"])?;
-        return Ok((model, None));
+        let file = vnl.to_onnx(&OnnxOptions { width, height, half: false })?;
+        return Ok((OnnxModel::from_vec(file)?, None));
     }
     let detail = if form == "full" { Detail::Full } else { Detail::Fast };
     let model = DepthModel::open(Path::new(path))?;

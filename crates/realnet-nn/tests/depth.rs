@@ -268,7 +268,7 @@ fn other_cameras_and_files_are_refused() {
         DepthModel::from_vec("changed.onnx", file.to_bytes()).unwrap_err().to_string()
     };
     assert!(change("realnet_align", "left").contains("'corners' or 'centres'"));
-    assert!(change("realnet_logits", "logits,nowhere").contains("'nowhere'"));
+    assert!(change("realnet_logits", "here,there").contains("'here,there'"));
     assert!(change("realnet_depth", "{}").contains("an object of"));
     assert!(change("stride", "0").contains("'stride'"));
     let text = r#"{"min":2,"max":1,"scale":1,"focal":1,"mean":[0,0,0],"std":[1,1,1]}"#;

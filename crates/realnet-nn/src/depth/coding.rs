@@ -141,11 +141,11 @@ pub enum DepthMetadataError {
     /// A number is out of its range.
     #[error(transparent)]
     Coding(#[from] CodingError),
-    /// A tensor that the metadata name is not in the graph.
-    #[error("the metadata name tensor '{name}', which the graph does not have")]
-    Tensor {
-        /// Its name.
-        name: String,
+    /// None of the tensors that the metadata name is in the graph.
+    #[error("the metadata name logits '{names}', of which the graph has none")]
+    Logits {
+        /// Their names.
+        names: String,
     },
 }
 
@@ -155,14 +155,14 @@ pub enum DepthMetadataError {
 /// | key | value |
 /// |---|---|
 /// | `realnet_depth` | `{"min":0.01,"max":1.7,"scale":10.0,"focal":519.0,"mean":[r,g,b],"std":[r,g,b]}`, see [`DepthCoding`] |
-/// | `realnet_logits` | names of tensors `[1, bins, h, w]`, the finest first, separated by commas |
+/// | `realnet_logits` | names of tensors `[1, bins, h, w]`, the finest first, separated by commas; those that the graph lacks do not count |
 /// | `realnet_align` | `corners` or `centres`, see [`Alignment`] |
 /// | `stride` | width and height of the input have to be multiples of this |
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthMetadata {
     /// How the numbers are metres.
     pub coding: DepthCoding,
-    /// Names of the tensors with logits, the finest first; at least one.
+    /// Names of the tensors with logits in the graph, the finest first; at least one.
     pub logits: Vec<String>,
     /// Where the logits lie on the input.
     pub alignment: Alignment,
@@ -191,10 +191,12 @@ impl DepthMetadata {
             entry("realnet_depth", "an object of min, max, scale, focal, mean and std", text)
         })?;
         coding.check()?;
-        let logits: Vec<String> =
-            get("realnet_logits")?.split(',').map(|name| name.trim().to_owned()).collect();
-        if let Some(name) = logits.iter().find(|name| !model.has_tensor(name)) {
-            return Err(DepthMetadataError::Tensor { name: name.clone() });
+        let names = get("realnet_logits")?;
+        // A file that was cut to one of them has no others.
+        let logits = names.split(',').map(str::trim).filter(|name| model.has_tensor(name));
+        let logits: Vec<String> = logits.map(str::to_owned).collect();
+        if logits.is_empty() {
+            return Err(DepthMetadataError::Logits { names: names.to_owned() });
         }
         let text = get("realnet_align")?;
         let alignment = Alignment::ALL.into_iter().find(|(_, name)| *name == text);

@@ -321,3 +321,136 @@ impl std::fmt::Debug for DepthNet {
             .finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realnet_core::{Distortion, Intrinsics, Stamp};
+
+    /// Predicts at every pixel, or at every second, the bin that the red channel
+    /// of the pixel says: bin 0 for red 0, the last for red 255.
+    struct RedIsFar {
+        size: (u32, u32),
+        input: Vec<f32>,
+        step: usize,
+        axes: usize,
+    }
+
+    const BINS: usize = 11;
+
+    impl Engine for RedIsFar {
+        fn describe(&self) -> String {
+            "a test".to_owned()
+        }
+        fn input_size(&self) -> (u32, u32) {
+            self.size
+        }
+        fn input(&mut self) -> &mut [f32] {
+            &mut self.input
+        }
+        fn run(&mut self, read: &mut dyn FnMut(&[TensorView<'_>])) -> Result<(), EngineError> {
+            let (width, height) = (self.size.0 as usize, self.size.1 as usize);
+            let coding = DepthCoding::default();
+            let mut shape = vec![1, BINS, height.div_ceil(self.step), width.div_ceil(self.step)];
+            let mut data = Vec::new();
+            for bin in 0..BINS {
+                for y in (0..height).step_by(self.step) {
+                    for x in (0..width).step_by(self.step) {
+                        let red = self.input[y * width + x] * coding.std[0] + coding.mean[0];
+                        data.push(-500.0 * (red * (BINS - 1) as f32 - bin as f32).abs());
+                    }
+                }
+            }
+            shape.truncate(self.axes);
+            read(&[TensorView { name: "logits", shape: &shape, data: &data }]);
+            Ok(())
+        }
+    }
+
+    fn net(size: (u32, u32), step: usize, output: DepthSize) -> DepthNet {
+        let input = vec![0.0; 3 * size.0 as usize * size.1 as usize];
+        let metadata = DepthMetadata {
+            coding: DepthCoding::default(),
+            logits: vec!["logits".to_owned()],
+            alignment: if step == 1 { Alignment::Corners } else { Alignment::Centres },
+            stride: 1,
+        };
+        DepthNet {
+            engine: Box::new(RedIsFar { size, input, step, axes: 4 }),
+            letterboxer: Letterboxer::new(size.0, size.1, Filter::default()).unwrap(),
+            sum: SoftSum::new(&metadata.coding, 0),
+            metadata,
+            output,
+            samples: Vec::new(),
+            resampler: Resampler::default(),
+        }
+    }
+
+    /// Left of the middle red is 0, right of it 255.
+    fn two_halves(width: u32, height: u32) -> Frame {
+        let pixel = |x: u32| if x < width / 2 { [0, 90, 30] } else { [255, 90, 30] };
+        let row: Vec<u8> = (0..width).flat_map(pixel).collect();
+        Frame::rgb8(Stamp::ZERO, width, height, row.repeat(height as usize)).unwrap()
+    }
+
+    /// Depths of the first and last bin.
+    fn ends() -> [f32; 2] {
+        let borders = DepthCoding::default().log_borders(BINS);
+        [borders[0], borders[BINS - 1]].map(|border| (border.exp() * 10.0) as f32)
+    }
+
+    #[test]
+    fn every_depth_is_where_its_pixel_is() {
+        let [near, far] = ends();
+        // Wide and high frames, with bars above and below or on the sides.
+        for (width, height) in [(80, 40), (40, 80), (64, 64)] {
+            for step in [1, 2] {
+                let mut net = net((32, 32), step, DepthSize::Frame);
+                let map = net.depth(&two_halves(width, height), None).unwrap();
+                assert_eq!((map.width(), map.height()), (width, height));
+                // The edge is two samples wide at most.
+                let blur = step as u32 * 2 * width.max(height) / 32;
+                for y in 0..height {
+                    for x in 0..width {
+                        let depth = map.at(x, y).unwrap();
+                        let expected = if x < width / 2 { near } else { far };
+                        let clear = x.abs_diff(width / 2) > blur;
+                        let same = (depth / expected - 1.0).abs() < 1e-4;
+                        assert!(same || !clear, "{width}x{height} /{step} at {x} {y}: {depth}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_focal_length_is_that_on_the_input() {
+        let frame = two_halves(80, 40);
+        let [near, _] = ends();
+        let camera = |fx: f64, fy: f64| {
+            let intrinsics = Intrinsics { fx, fy, cx: 40.0, cy: 20.0 };
+            CameraModel::new(80, 40, intrinsics, Distortion::None).unwrap()
+        };
+        // 80 pixels become 32.
+        for (camera, factor) in [
+            (camera(519.0, 519.0), 0.4),
+            (camera(519.0 * 2.5, 519.0 * 2.5), 1.0),
+            (camera(519.0 * 4.0, 519.0), 0.8),
+        ] {
+            let mut net = net((32, 32), 1, DepthSize::Network);
+            let map = net.depth(&frame, Some(&camera)).unwrap();
+            assert_eq!((map.width(), map.height()), (32, 16));
+            assert!((map.at(0, 0).unwrap() / near - factor).abs() < 1e-4, "{factor}");
+        }
+    }
+
+    #[test]
+    fn outputs_of_another_shape_are_named() {
+        let mut net = net((32, 32), 1, DepthSize::Network);
+        let input = vec![0.0; 3 * 32 * 32];
+        net.engine = Box::new(RedIsFar { size: (32, 32), input, step: 1, axes: 3 });
+        let error = net.depth(&two_halves(32, 32), None).unwrap_err();
+        assert!(matches!(error, DepthError::Output { .. }));
+        assert!(error.to_string().contains("'logits' [1, 11, 32]"), "{error}");
+    }
+}
