@@ -5,8 +5,10 @@
 //! `--sweep` varies one option at a time instead, `--pairs` lists every step.
 #![allow(clippy::print_stdout)]
 
+#[path = "../tests/carry_sequences/mod.rs"]
+mod sequences;
+
 use realnet_core::{BoundingBox, Frame};
-use realnet_io::picture;
 use realnet_range::carry::{BoxCarrier, Carried, CarryError, CarryOptions, Motion, SearchOptions};
 use realnet_vision::{Pyramid, Window};
 use serde_json::{Value, json};
@@ -16,9 +18,9 @@ use std::time::Instant;
 
 type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// Frames of a sequence with the box of its target in each.
+/// Frames of a sequence, ready for flow.
 struct Sequence {
-    name: String,
+    name: &'static str,
     frames: Vec<(Pyramid, BoundingBox)>,
     /// The same frames, their rows in reverse.
     upside_down: Vec<Pyramid>,
@@ -28,7 +30,7 @@ struct Sequence {
 }
 
 impl Sequence {
-    fn new(name: &str, frames: Vec<(Frame, BoundingBox)>) -> Self {
+    fn new(name: &'static str, frames: &[(Frame, BoundingBox)]) -> Self {
         let size =
             frames.first().map_or((0.0, 0.0), |(f, _)| (f.width() as f32, f.height() as f32));
         let mut times = Vec::new();
@@ -40,42 +42,10 @@ impl Sequence {
             times.push(start.elapsed().as_secs_f64() * 1e3);
             pyramid
         };
-        let upside_down = frames.iter().map(|(frame, _)| build(&turned(frame))).collect();
+        let upside_down =
+            frames.iter().map(|(frame, _)| build(&sequences::upside_down(frame))).collect();
         let frames = frames.iter().map(|(frame, bbox)| (build(frame), *bbox)).collect();
-        Self { name: name.to_owned(), frames, upside_down, size, pyramid_ms: median(&mut times) }
-    }
-
-    /// Comma-separated `frame,x0,y0,x1,y1` beside a folder of pictures.
-    fn blurcar(folder: &Path) -> Outcome<Self> {
-        let table = std::fs::read_to_string(folder.join("boxes.csv"))?;
-        let mut pictures = std::fs::read_dir(folder.join("images"))?
-            .map(|entry| Ok(entry?.path()))
-            .collect::<Outcome<Vec<_>>>()?;
-        pictures.sort();
-        let mut frames = Vec::new();
-        for (line, path) in table.lines().skip(1).zip(&pictures) {
-            let numbers: Vec<f32> = line.split(',').map(str::parse).collect::<Result<_, _>>()?;
-            let [_, x0, y0, x1, y1] = numbers[..] else { return Err(line.into()) };
-            frames.push((picture::read(path)?, BoundingBox::new(x0, y0, x1, y1)));
-        }
-        Ok(Self::new("blurcar", frames))
-    }
-
-    /// YOLO labels beside a folder of pictures.
-    fn rc_car(folder: &Path, name: &str) -> Outcome<Self> {
-        let mut frames = Vec::new();
-        for number in 0..100 {
-            let frame = picture::read(&folder.join(name).join(format!("images/{number:06}.jpg")))?;
-            let label =
-                std::fs::read_to_string(folder.join(name).join(format!("labels/{number:06}.txt")))?;
-            let numbers: Vec<f32> =
-                label.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
-            let [_, cx, cy, w, h] = numbers[..] else { return Err(label.into()) };
-            let (width, height) = (frame.width() as f32, frame.height() as f32);
-            let bbox = BoundingBox::from_center(cx * width, cy * height, w * width, h * height);
-            frames.push((frame, bbox));
-        }
-        Ok(Self::new(name, frames))
+        Self { name, frames, upside_down, size, pyramid_ms: median(&mut times) }
     }
 }
 
@@ -133,15 +103,6 @@ fn accepted_upside_down(sequence: &Sequence, options: CarryOptions) -> Outcome<f
         .filter(|((from, bbox), to)| carrier.carry(from, to, bbox, Motion::NONE).is_ok())
         .count();
     Ok(share(accepted, sequence.frames.len() - 1))
-}
-
-fn turned(frame: &Frame) -> Frame {
-    let mut turned = frame.clone();
-    let rows = frame.data().chunks_exact(frame.stride()).rev();
-    for (to, from) in turned.data_mut().chunks_exact_mut(frame.stride()).zip(rows) {
-        to.copy_from_slice(from);
-    }
-    turned
 }
 
 fn median(values: &mut Vec<f64>) -> f64 {
@@ -229,7 +190,7 @@ fn evaluate(sequences: &[Sequence], options: CarryOptions, list: bool) -> Outcom
             add("blurcar", 15)?;
             add("blurcar pairs", 1)?;
         } else {
-            pairs.extend(add(&sequence.name, 1)?);
+            pairs.extend(add(sequence.name, 1)?);
         }
     }
     report.insert("rc-car".to_owned(), summary(&pairs, 0));
@@ -275,14 +236,14 @@ fn main() -> Outcome<()> {
         .find(|a| !a.starts_with('-'))
         .ok_or("usage: carry DATA [--sweep] [--pairs]")?;
     let data = Path::new(data);
-    let mut sequences = vec![Sequence::blurcar(&data.join("blurcar"))?];
+    let mut all = vec![Sequence::new("blurcar", &sequences::blurcar(data)?)];
     for name in ["seq2", "seq3", "seq4"] {
-        sequences.push(Sequence::rc_car(&data.join("rc-car"), name)?);
+        all.push(Sequence::new(name, &sequences::rc_car(data, name)?));
     }
     if flag("--sweep") {
-        return sweep(&sequences);
+        return sweep(&all);
     }
-    let report = evaluate(&sequences, CarryOptions::default(), flag("--pairs"))?;
+    let report = evaluate(&all, CarryOptions::default(), flag("--pairs"))?;
     println!("{}", serde_json::to_string_pretty(&report)?);
     Ok(())
 }

@@ -7,8 +7,8 @@ use realnet_vision::{PatchSearch, Pyramid, Window};
 
 /// Pixels of the patch that is searched for.
 const AREA: f32 = 400.0;
-/// The patch is the box enlarged by this share of each side, at each side.
-const MARGIN: f32 = 0.1;
+/// Positions to each side at most; the patch of a long, thin box has fewer pixels.
+const RADIUS: f32 = 80.0;
 /// Two places closer than this share of the box's longer side are one.
 const APART: f32 = 0.3;
 /// Places looked at.
@@ -45,7 +45,7 @@ impl CoarseSearch {
         }
     }
 
-    /// The best places around `center`, the best first, at most [`PLACES`].
+    /// The best places around the prediction, the best first, at most [`PLACES`].
     pub(super) fn run(
         &mut self,
         (from, to): (&Pyramid, &Pyramid),
@@ -54,38 +54,32 @@ impl CoarseSearch {
         options: &SearchOptions,
     ) -> &[Place] {
         self.found.clear();
-        let enlarge = 1.0 + 2.0 * MARGIN;
-        let unit = (bbox.width() * bbox.height() * enlarge * enlarge / AREA).sqrt();
         let side = bbox.width().max(bbox.height());
-        let here = View { unit, ..View::of(bbox, 1.0) };
-        let level = Sampler::level(from, unit);
-        let there = here.moved(Motion { scale: 1.0, ..prediction });
-
-        // Positions of the patch's middle: `radius` pixels of the small picture to
-        // each side; around them half of the largest patch.
-        let radius = (options.radius * side / unit).ceil().clamp(1.0, 500.0) as u32;
-        let half =
-            |length: f32| (length * enlarge * options.scales.1 / unit / 2.0).ceil() as u32 + 1;
-        let (half_width, half_height) = (half(bbox.width()), half(bbox.height()));
-        let size = (2 * (radius + half_width) + 1, 2 * (radius + half_height) + 1);
+        let sides = [bbox.width(), bbox.height()];
+        let unit = (bbox.area() / AREA).sqrt().max(options.radius * side / RADIUS);
+        let view = View { unit, ..View::of(bbox, 1.0) };
+        let grid = Grid {
+            view,
+            level: Sampler::level(from, unit),
+            radius: (options.radius * side / unit).ceil().clamp(1.0, RADIUS) as u32,
+            half: sides.map(|side| (side * options.scales.1 / unit / 2.0).ceil() as u32 + 1),
+            sides,
+            prediction: prediction.shift,
+        };
+        let [width, height] = grid.half.map(|half| 2 * (grid.radius + half) + 1);
         self.area.clear();
-        self.area.resize((size.0 * size.1) as usize, 0);
-        self.sampler.fill(to, level, there, size, &mut self.area);
+        self.area.resize((width * height) as usize, 0);
+        let there = view.moved(Motion { scale: 1.0, ..prediction });
+        self.sampler.fill(to, grid.level, there, (width, height), &mut self.area);
         let area = std::mem::take(&mut self.area);
-        let Ok(frame) = Frame::grey8(Stamp::ZERO, size.0, size.1, area) else { return &[] };
+        let Ok(frame) = Frame::grey8(Stamp::ZERO, width, height, area) else { return &[] };
         self.picture.build(&frame);
         self.area = frame.into_data();
 
         for scale in options.ladder() {
-            self.at_scale(
-                from,
-                (bbox, here, level),
-                scale,
-                (radius, half_width, half_height),
-                prediction,
-            );
+            self.at_scale(from, &grid, scale);
         }
-        self.found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        self.found.sort_unstable_by(|a, b| b.score.total_cmp(&a.score));
         // Keep the best of places that are close together.
         let mut kept = 0;
         for i in 0..self.found.len() {
@@ -103,57 +97,111 @@ impl CoarseSearch {
         &self.found
     }
 
-    fn at_scale(
-        &mut self,
-        from: &Pyramid,
-        (bbox, here, level): (&BoundingBox, View, usize),
-        scale: f32,
-        (radius, half_width, half_height): (u32, u32, u32),
-        prediction: Motion,
-    ) {
-        let enlarge = 1.0 + 2.0 * MARGIN;
-        let length = |length: f32| ((length * enlarge * scale / here.unit).round() as u32).max(2);
-        let patch_size = (length(bbox.width()), length(bbox.height()));
+    /// Adds the best places at one size to those found.
+    fn at_scale(&mut self, from: &Pyramid, grid: &Grid, scale: f32) {
+        let unit = grid.view.unit;
+        // Odd, so that the patch's pixels lie where the small picture's do.
+        let size = grid.sides.map(|side| 2 * (side * scale / unit / 2.0) as u32 + 1);
         self.patch.clear();
-        self.patch.resize((patch_size.0 * patch_size.1) as usize, 0);
-        let view = View { unit: here.unit / scale, ..here };
-        self.sampler.fill(from, level, view, patch_size, &mut self.patch);
+        self.patch.resize((size[0] * size[1]) as usize, 0);
+        let view = View { unit: unit / scale, ..grid.view };
+        self.sampler.fill(from, grid.level, view, (size[0], size[1]), &mut self.patch);
         let Ok(picture) = self.picture.full() else { return };
-        // The middle of the small picture is pixel radius + half.
-        let origin = (
-            half_width as i32 - patch_size.0 as i32 / 2,
-            half_height as i32 - patch_size.1 as i32 / 2,
-        );
-        let positions = (2 * radius + 1, 2 * radius + 1);
-        let Ok(scores) = self.search.run(&self.patch, patch_size, picture, origin, positions)
-        else {
-            return;
-        };
-        // An even patch has its middle half a pixel before the pixel counted as such.
-        let middle = [patch_size.0, patch_size.1].map(|n| if n % 2 == 0 { 0.5 } else { 0.0 });
-        let apart = APART * bbox.width().max(bbox.height()) / here.unit;
-        let mut peaks: [(f32, f32, f32); PLACES] = [(0.0, 0.0, 0.0); PLACES];
+        let [x, y] = [0, 1].map(|i| grid.half[i] as i32 - size[i] as i32 / 2);
+        let count = 2 * grid.radius + 1;
+        let searched =
+            self.search.run(&self.patch, (size[0], size[1]), picture, (x, y), (count, count));
+        let Ok(scores) = searched else { return };
+
+        let apart = APART * grid.sides[0].max(grid.sides[1]) / unit;
+        let middle = grid.radius as f32;
+        let mut peaks = [(0.0, 0.0); PLACES];
         for count in 0..PLACES {
-            let mut best = (0.0, 0.0, 0.0);
+            let (mut best, mut best_score) = ((0.0, 0.0), 0.0);
             for (y, row) in scores.rows().enumerate() {
                 for (x, &score) in row.iter().enumerate() {
-                    if score > best.2 {
+                    if score > best_score {
                         let (x, y) = (x as f32, y as f32);
-                        let near = |p: &(f32, f32, f32)| (p.0 - x).hypot(p.1 - y) < apart;
+                        let near = |p: &(f32, f32)| (p.0 - x).hypot(p.1 - y) < apart;
                         if !peaks[..count].iter().any(near) {
-                            best = (x, y, score);
+                            (best, best_score) = ((x, y), score);
                         }
                     }
                 }
             }
-            if best.2 <= 0.0 {
+            if best_score <= 0.0 {
                 break;
             }
             peaks[count] = best;
-            let offset =
-                [best.0 - middle[0], best.1 - middle[1]].map(|v| (v - radius as f32) * here.unit);
-            let shift = [0, 1].map(|i| prediction.shift[i] + offset[i]);
-            self.found.push(Place { motion: Motion { shift, scale }, score: best.2 });
+            let [dx, dy] = grid.prediction;
+            let shift = [dx + (best.0 - middle) * unit, dy + (best.1 - middle) * unit];
+            self.found.push(Place { motion: Motion { shift, scale }, score: best_score });
         }
+    }
+}
+
+/// Where a patch is looked for.
+#[derive(Clone, Copy, Debug)]
+struct Grid {
+    /// The small picture around the box; its unit is that of all of them.
+    view: View,
+    level: usize,
+    /// Positions of the patch's middle to each side.
+    radius: u32,
+    /// Pixels around them: half of the largest patch.
+    half: [u32; 2],
+    /// Width and height of the box.
+    sides: [f32; 2],
+    /// The predicted shift: the middle of the positions.
+    prediction: [f32; 2],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{Scene, TARGET};
+    use super::*;
+
+    #[test]
+    fn finds_a_target_far_away_and_of_another_size() {
+        let (from, bbox) = Scene::default().draw();
+        let scene = Scene { center: [230.0, 95.0], scale: 1.3, ..Scene::default() };
+        let (to, truth) = scene.draw();
+        let mut search = CoarseSearch::new();
+        let options = SearchOptions::default();
+        let places = search.run((&from, &to), &bbox, Motion::NONE, &options);
+        let best = places[0];
+        assert!(best.motion.apply(&bbox).iou(&truth) > 0.7, "{best:?}");
+        assert!(best.score > 0.7 && places.is_sorted_by(|a, b| a.score >= b.score), "{places:?}");
+        for (i, a) in places.iter().enumerate() {
+            for b in &places[..i] {
+                let [dx, dy] = [0, 1].map(|k| a.motion.shift[k] - b.motion.shift[k]);
+                assert!(dx.hypot(dy) >= APART * TARGET[0], "{a:?} {b:?}");
+            }
+        }
+        // Within the radius of a prediction on the other side there is nothing.
+        let wrong = Motion { shift: [-100.0, 0.0], scale: 1.0 };
+        let near = SearchOptions { radius: 0.5, ..options };
+        let places = search.run((&from, &to), &bbox, wrong, &near);
+        assert!(places.iter().all(|place| place.score < best.score - 0.1), "{places:?}");
+    }
+
+    #[test]
+    fn the_same_place_scores_one() {
+        let (from, bbox) = Scene::default().draw();
+        let mut search = CoarseSearch::new();
+        let options = SearchOptions { steps: 1, ..SearchOptions::default() };
+        let best = search.run((&from, &from), &bbox, Motion::NONE, &options)[0];
+        assert!(best.score > 0.999 && best.motion.scale == 1.0, "{best:?}");
+        assert!(best.motion.shift.iter().all(|v| v.abs() < 1.0), "{best:?}");
+    }
+
+    #[test]
+    fn a_thin_box_stays_affordable() {
+        let (from, _) = Scene::default().draw();
+        let bbox = BoundingBox::new(10.0, 100.0, 310.0, 108.0);
+        let mut search = CoarseSearch::new();
+        let options = SearchOptions { radius: 4.0, ..SearchOptions::default() };
+        search.run((&from, &from), &bbox, Motion::NONE, &options);
+        assert!(search.area.len() < 100_000, "{}", search.area.len());
     }
 }

@@ -123,8 +123,7 @@ fn least_squares(pairs: &[Pair], model: Similarity, square: f32) -> Option<Fit> 
     // of the scale adds to that of the middle.
     let reach = spread / n;
     let scale_variance = (variance[0] + variance[1]) / (2.0 * reach);
-    let shift_sd =
-        [0, 1].map(|i| (variance[i] + from[i] * from[i] * scale_variance).sqrt());
+    let shift_sd = [0, 1].map(|i| (variance[i] + from[i] * from[i] * scale_variance).sqrt());
     Some(Fit { similarity, inliers: count, shift_sd, scale_sd: scale_variance.sqrt() })
 }
 
@@ -132,5 +131,61 @@ impl Fit {
     /// Whether a point moves with it.
     pub(super) fn holds(&self, pair: &Pair, tolerance: f32) -> bool {
         self.similarity.residual(pair) <= tolerance * tolerance
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SCALES: (f32, f32) = (0.5, 2.0);
+
+    fn pairs(n: usize, scale: f32, shift: [f32; 2]) -> Vec<Pair> {
+        (0..n)
+            .map(|i| [(i * 37 % 101) as f32 - 50.0, (i * 53 % 79) as f32 - 40.0])
+            .map(|from| Pair { from, to: [0, 1].map(|k| scale * from[k] + shift[k]) })
+            .collect()
+    }
+
+    #[test]
+    fn recovers_the_motion_of_the_majority() {
+        let mut pairs = pairs(50, 1.2, [7.0, -3.0]);
+        // Two fifths stand still or go astray.
+        for (i, pair) in pairs.iter_mut().enumerate().take(20) {
+            let astray = [pair.from[0] + (i * 31 % 23) as f32, pair.from[1] - (i * 17 % 29) as f32];
+            pair.to = if i % 2 == 0 { pair.from } else { astray };
+        }
+        let truth = Similarity { scale: 1.2, shift: [7.0, -3.0] };
+        let near = pairs.iter().filter(|pair| truth.residual(pair) <= 4.0).count();
+        let fit = fit(&pairs, 2.0, 10.0, SCALES).unwrap();
+        assert!((fit.similarity.scale - 1.2).abs() < 0.02, "{fit:?}");
+        let shift = fit.similarity.shift;
+        assert!((shift[0] - 7.0).abs() < 0.5 && (shift[1] + 3.0).abs() < 0.5, "{fit:?}");
+        assert!((30..=near + 2).contains(&fit.inliers), "{near} {fit:?}");
+        assert!(fit.holds(&pairs[40], 2.0) && !fit.holds(&pairs[2], 2.0));
+    }
+
+    #[test]
+    fn deviations_are_those_of_one_point() {
+        let mut pairs = pairs(60, 1.0, [0.0; 2]);
+        let exact = fit(&pairs, 2.0, 10.0, SCALES).unwrap();
+        assert!(exact.shift_sd.iter().all(|sd| *sd < 1e-3) && exact.scale_sd < 1e-4, "{exact:?}");
+        for (i, pair) in pairs.iter_mut().enumerate() {
+            pair.to[0] += if i % 2 == 0 { 1.0 } else { -1.0 };
+        }
+        let noisy = fit(&pairs, 2.0, 10.0, SCALES).unwrap();
+        assert!((noisy.shift_sd[0] - 1.0).abs() < 0.1 && noisy.shift_sd[1] < 0.3, "{noisy:?}");
+        assert!((0.01..0.04).contains(&noisy.scale_sd), "{noisy:?}");
+    }
+
+    #[test]
+    fn refuses_what_gives_no_scale() {
+        let near = pairs(50, 1.0, [0.0; 2]);
+        assert_eq!(fit(&near, 2.0, 500.0, SCALES), None);
+        assert_eq!(fit(&near[..1], 2.0, 1.0, SCALES), None);
+        assert_eq!(fit(&[], 2.0, 1.0, SCALES), None);
+        assert_eq!(fit(&pairs(50, 2.5, [0.0; 2]), 2.0, 10.0, SCALES), None);
+        let same = [Pair { from: [1.0; 2], to: [2.0; 2] }; 5];
+        assert_eq!(fit(&same, 2.0, 0.0, SCALES), None);
     }
 }

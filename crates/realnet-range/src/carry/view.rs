@@ -101,3 +101,47 @@ impl Sampler {
         self.fill(pyramid, index, view, (SIDE, SIDE), out.data_mut());
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::Scene;
+    use super::*;
+
+    #[test]
+    fn samples_pixels_and_repeats_the_edge() {
+        let (pyramid, _) = Scene::default().draw();
+        let full = pyramid.full().unwrap();
+        let row = |y: u32| full.row(y).unwrap();
+        let mut sampler = Sampler::default();
+        let mut out = [0; 15];
+        let mut fill = |center, unit| {
+            sampler.fill(&pyramid, 0, View { center, unit }, (5, 3), &mut out);
+            out
+        };
+        let same = fill([10.0, 20.0], 1.0);
+        for (y, out) in same.chunks_exact(5).enumerate() {
+            assert_eq!(out, &row(19 + y as u32)[8..13]);
+        }
+        let between = fill([10.5, 20.0], 1.0);
+        let mean = u32::from(row(20)[10]) + u32::from(row(20)[11]);
+        assert!((u32::from(between[7]) * 2).abs_diff(mean) <= 1);
+        assert_eq!(fill([-50.0, -50.0], 1.0), [row(0)[0]; 15]);
+        assert_eq!(fill([1e9, 1e9], 3.0), [row(full.height() - 1)[full.width() as usize - 1]; 15]);
+    }
+
+    #[test]
+    fn the_level_goes_with_the_unit() {
+        let (pyramid, _) = Scene::default().draw();
+        let levels = [0.1, 1.0, 1.4, 1.5, 2.0, 2.9, 1e6].map(|unit| Sampler::level(&pyramid, unit));
+        assert_eq!(levels, [0, 0, 0, 1, 1, 2, pyramid.levels().len() - 1]);
+    }
+
+    #[test]
+    fn a_moved_view_shows_the_moved_box() {
+        let bbox = BoundingBox::new(10.0, 20.0, 50.0, 40.0);
+        let motion = Motion { shift: [5.0, -2.0], scale: 1.5 };
+        assert_eq!(View::of(&bbox, BOX).moved(motion), View::of(&motion.apply(&bbox), BOX));
+        let corner = View::of(&bbox, BOX).to_picture([-BOX / 2.0, -BOX / 4.0]);
+        assert_eq!(corner, [9.5, 19.5]); // an edge lies half a pixel before the centre
+    }
+}
