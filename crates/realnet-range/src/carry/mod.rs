@@ -1,4 +1,10 @@
 //! The box of a target carried from one picture to another by optical flow.
+//!
+//! [`BoxCarrier`] takes a box from one picture to another, from frame to frame or
+//! over a step of a second; what it cannot carry it refuses, with the reason. Over
+//! frames: feed each result's [`Motion`] back as the next prediction, and after a
+//! refusal try the next frame from the last one that has a box; a blurred frame is
+//! passed over that way.
 
 mod align;
 mod coarse;
@@ -233,7 +239,40 @@ pub enum CarryError {
 /// from, which covers fast panning and steps of more than the box's size, and the
 /// most alike of those that pass is taken.
 ///
+/// A target that turns by a large angle between the pictures is refused: its sides
+/// are not the same surface any more.
+///
 /// No state but scratch is kept: the same arguments give the same answer.
+///
+/// ```
+/// use realnet_core::{BoundingBox, Frame, Stamp};
+/// use realnet_range::carry::{BoxCarrier, CarryOptions, Motion};
+/// use realnet_vision::{Pyramid, Window};
+///
+/// // Blots that move 9 pixels to the right and 4 down.
+/// let picture = |dx: f32, dy: f32| {
+///     let pixel = |i: u32| {
+///         let (x, y) = ((i % 200) as f32 - dx, (i / 200) as f32 - dy);
+///         let blots = (x * 0.3 + (y * 0.2).sin() * 3.0).sin() + (y * 0.25 + (x * 0.1).cos() * 4.0).cos();
+///         (128.0 + 50.0 * blots) as u8
+///     };
+///     Frame::grey8(Stamp::ZERO, 200, 150, (0..200 * 150).map(pixel).collect())
+/// };
+/// let (mut from, mut to) = (Pyramid::new(3, Window::default()), Pyramid::new(3, Window::default()));
+/// from.build(&picture(0.0, 0.0)?);
+/// to.build(&picture(9.0, 4.0)?);
+///
+/// let mut carrier = BoxCarrier::new(CarryOptions::default())?;
+/// let bbox = BoundingBox::new(60.0, 40.0, 130.0, 100.0);
+/// let carried = carrier.carry(&from, &to, &bbox, Motion::NONE)?;
+/// assert!(carried.bbox.iou(&bbox.translated(9.0, 4.0)) > 0.95);
+/// assert!(carried.center_sd[0] < 2.0); // pixels
+///
+/// let gone = BoundingBox::new(-90.0, 40.0, -20.0, 100.0);
+/// let refused = carrier.carry(&from, &to, &gone, Motion::NONE).unwrap_err();
+/// assert!(refused.to_string().contains("too little to carry"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct BoxCarrier {
     options: CarryOptions,
@@ -373,12 +412,14 @@ fn in_sight(bbox: &BoundingBox, (width, height): (u32, u32)) -> Result<(), Carry
 
 /// Orders attempts: how alike, or how far it got.
 fn rank(attempt: &Attempt) -> f32 {
-    match attempt {
+    let share = |count: usize, of: usize| count as f32 / of.max(1) as f32;
+    match *attempt {
         Ok(carried) => carried.similarity,
-        Err(CarryError::Unlike { .. }) => -2.0,
-        Err(CarryError::OutOfSight { .. }) => -3.0,
-        Err(CarryError::NoConsensus { .. }) => -4.0,
-        Err(_) => -5.0,
+        Err(CarryError::Unlike { similarity, .. }) => similarity - 3.0,
+        Err(CarryError::OutOfSight { .. }) => -5.0,
+        Err(CarryError::NoConsensus { tracked, inliers, .. }) => share(inliers, tracked) - 7.0,
+        Err(CarryError::Lost { corners, tracked, .. }) => share(tracked, corners) - 9.0,
+        Err(_) => -10.0,
     }
 }
 
