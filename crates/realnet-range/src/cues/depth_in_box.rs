@@ -481,7 +481,7 @@ impl DepthInBox {
             }
             self.histogram.widen(options.widen_share);
             if zoom == 0 {
-                self.overview.clone_from(&self.histogram);
+                self.overview.copy_from(&self.histogram);
             }
             let (first, last) = self.histogram.interval_bins();
             if finest || !options.zoom || last - first >= UNRESOLVED_BINS {

@@ -19,8 +19,8 @@ const GATE_SIGMAS: f64 = 4.0;
 /// Vertical stripes of the picture that the jackknife leaves out one by one.
 const STRIPES: usize = 10;
 /// Residuals of a larger scale than this, in deviations of the pixel noise, are
-/// no plane: depths that are spread evenly over the tolerance have 6.9.
-const MAX_SCALE: f64 = 3.0;
+/// no plane: depths that are spread evenly over the tolerance have 3.5.
+const MAX_SCALE: f64 = 2.5;
 /// Tukey's constant: 95 % of the efficiency of least squares on normal errors.
 const TUKEY: f64 = 4.685;
 
@@ -65,7 +65,7 @@ impl Default for GroundFitOptions {
             flatness_rad: 0.003,
             max_samples: 4000,
             min_pixels: 80,
-            min_share: 0.25,
+            min_share: 0.35,
             max_pitch_std_rad: 0.05,
         }
     }
@@ -193,6 +193,8 @@ struct Refined {
     scale: f64,
     /// Mean depth of the inliers (harmonic), metres.
     distance: f64,
+    /// What the outliers may have shifted the plane by, in inverse depth.
+    clutter: f64,
 }
 
 /// Fits the ground plane to the lower part of a depth map.
@@ -207,8 +209,12 @@ struct Refined {
 /// The deviations are the larger ones of two: from the residuals, and from a
 /// jackknife over ten vertical stripes of the picture (the plane without each of
 /// them), which also sees what is not independent from pixel to pixel: a foot of
-/// some object taken for floor, a bump. To them come the floor's flatness and the
-/// source's common offset; a common scale changes the height only.
+/// some object taken for floor, a bump. To them come the floor's flatness, the
+/// source's common offset, and for clutter the noise times the ratio of outliers
+/// to inliers; a common scale changes the height only.
+///
+/// With a wide prior any large horizontal surface will do, a table as well as the
+/// floor: give the prior of a known mount.
 ///
 /// Owns its scratch: after the first map of a size nothing is allocated.
 #[derive(Clone, Debug)]
@@ -401,10 +407,11 @@ impl GroundFit {
                     let mut score = 0.0;
                     for point in self.points.iter().step_by(every) {
                         let miss = down.dot(&point.ray) - height * point.inverse;
-                        let grid = (0.5 * pitches.1)
-                            .hypot(0.5 * rolls.1 * point.ray.x)
-                            .hypot(0.5 * heights.1 * point.inverse);
-                        let variance = grid * grid + (height * point.std).powi(2);
+                        let x = rolls.1 * point.ray.x;
+                        let w = heights.1 * point.inverse;
+                        let grid = 0.25 * (pitches.1 * pitches.1 + x * x + w * w);
+                        let noise = height * point.std;
+                        let variance = grid + noise * noise;
                         // Quadratic up to 2 deviations, then flat.
                         score += (1.0 - 0.25 * miss * miss / variance).max(0.0);
                     }
@@ -448,7 +455,7 @@ impl GroundFit {
         // s^2 mean(psi^2) / mean(psi')^2 (A^T A)^-1, over the inliers.
         let (mut ata, mut shift) = (Matrix3::zeros(), Vector3::zeros());
         let (mut psi_squares, mut psi_slopes, mut inliers) = (0.0, 0.0, 0_usize);
-        let mut inverse = 0.0;
+        let (mut inverse, mut noise) = (0.0, 0.0);
         let mut stripes = [(Matrix3::zeros(), Vector3::zeros()); STRIPES];
         for point in &self.points {
             let expected = theta.dot(&point.ray);
@@ -458,6 +465,7 @@ impl GroundFit {
             if weight > 0.0 && std.is_finite() {
                 inliers += 1;
                 inverse += point.inverse;
+                noise += std;
                 let row = point.ray / std;
                 ata += row * row.transpose();
                 if let Some((normal, right)) = stripes.get_mut(point.stripe) {
@@ -483,7 +491,10 @@ impl GroundFit {
         let formal = factor * alike * ata.try_inverse()? + offset;
         let jackknife = jackknife(&stripes)? + offset;
         let distance = count / inverse;
-        Some(Refined { theta, formal, jackknife, inliers, scale, distance })
+        // Outliers on one side shift an M-estimate by about the scale times their
+        // number over that of the inliers.
+        let clutter = noise / count * (self.points.len() as f64 - count) / count;
+        Some(Refined { theta, formal, jackknife, inliers, scale, distance, clutter })
     }
 
     /// Pitch, roll and height with their deviations.
@@ -501,7 +512,7 @@ impl GroundFit {
             let jackknife = (fit.jackknife * gradient).dot(gradient);
             formal.max(jackknife).max(0.0).sqrt()
         };
-        let flatness = self.options.flatness_rad;
+        let flatness = self.options.flatness_rad.hypot(fit.clutter * height);
         (
             Uncertain::new(pitch, std(&by_pitch).hypot(flatness)),
             Uncertain::new(theta.x.atan2(theta.y), std(&by_roll).hypot(flatness)),
@@ -532,7 +543,7 @@ impl GroundFit {
             let std = self.noise_at(expected);
             let miss = (point.inverse - expected).abs();
             // Clutter must not widen the scale that decides what clutter is.
-            if std.is_finite() && miss <= TUKEY * (2.0 * std).hypot(blur) {
+            if std.is_finite() && miss <= TUKEY * std.hypot(blur) {
                 self.residuals.push(miss / std);
             }
         }

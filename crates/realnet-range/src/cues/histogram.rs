@@ -125,6 +125,16 @@ impl DepthHistogram {
         FocusInterval { near: self.edge(self.first), far: self.edge(self.last + 1) }
     }
 
+    /// Becomes a copy of another one in the memory it has; the derived
+    /// `clone_from` would take new memory.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        let Self { start, bin, peak, first, last, .. } = *other;
+        self.weights.clone_from(&other.weights);
+        self.density.clone_from(&other.density);
+        (self.start, self.bin) = (start, bin);
+        (self.peak, self.first, self.last) = (peak, first, last);
+    }
+
     pub(crate) fn clear(&mut self) {
         self.weights.clear();
         self.density.clear();

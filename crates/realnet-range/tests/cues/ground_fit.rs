@@ -234,7 +234,12 @@ fn where_there_is_no_ground_there_is_no_fit() {
     assert!(matches!(error(floor.clone(), &[everything]), GroundFitError::TooFew { .. }));
     let wild = floor.iter().map(|_| rng.uniform(0.5, 5.0) as f32).collect();
     let wild = error(wild, &[]);
-    assert!(matches!(wild, GroundFitError::Rough { .. }), "{wild}");
+    let no_plane =
+        |error| matches!(error, GroundFitError::NoPlane { .. } | GroundFitError::Rough { .. });
+    assert!(no_plane(wild), "{wild}");
+    let grass = World { noise: 0.1, ..world }.map(&mut rng).into_data();
+    let grass = error(grass, &[]);
+    assert!(matches!(grass, GroundFitError::Rough { limit: 2.5, .. }), "{grass}");
     let small_map = DepthMap::unknown(Stamp::ZERO, 80, 60).unwrap();
     let size = fit.fit(&small_map, &camera, &[], &prior, DepthNoise::NONE).unwrap_err();
     assert!(matches!(size, GroundFitError::Size { width: 80, .. }));
