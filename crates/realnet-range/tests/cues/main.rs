@@ -5,6 +5,7 @@
 mod depth_in_box;
 mod ground;
 mod ground_fit;
+mod hostile;
 mod pitch;
 mod random;
 mod size;
