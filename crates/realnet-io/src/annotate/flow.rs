@@ -77,13 +77,13 @@ impl Annotator {
             *frame = frame.to_rgb();
         }
         let mean = (frame.width() as f32 + frame.height() as f32) / 2.0;
-        let radius = (mean * 0.0034).max(2.0);
-        let line = (mean * 0.0013).max(0.75);
+        let radius = (mean * 0.0036).max(2.5);
+        let line = (mean * 0.0014).max(0.9);
         // Rims first: none lies on a neighbour's mark.
         for rim in [true, false] {
             for mark in marks {
                 let pen = |radius: f32| match rim {
-                    true => Pen { radius: radius + 1.0, color: [0; 3], share: 0.55 },
+                    true => Pen { radius: radius + 0.75, color: [0; 3], share: 0.55 },
                     false => Pen { radius, color: mark.color, share: 1.0 },
                 };
                 match (side, mark.to) {
