@@ -9,6 +9,7 @@ mod interrupt;
 mod model_args;
 mod output;
 mod progress;
+mod track;
 mod val;
 
 use clap::{Parser, Subcommand};
@@ -26,6 +27,8 @@ struct Cli {
 enum Command {
     /// Find objects in pictures, a video, a stream or a camera.
     Detect(detect::DetectArgs),
+    /// Show corners and their flow, and carry a target's box by flow alone.
+    Track(Box<track::TrackArgs>),
     /// Write YOLOv5 weights as a self-contained ONNX file.
     Convert(convert::ConvertArgs),
     /// Measure a network against labelled data.
@@ -47,6 +50,7 @@ pub(crate) fn run() -> ExitCode {
     interrupt::install();
     let result = match cli.command {
         Command::Detect(args) => detect::run(&args),
+        Command::Track(args) => track::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Val(ValCommand::Detect(args)) => val::run(&args),
         Command::Engines(args) => engines::run(&args),
