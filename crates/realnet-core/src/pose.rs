@@ -1,6 +1,8 @@
 //! Rigid transforms.
 
-use nalgebra::{Matrix3, Matrix4, Point3, Quaternion, Unit, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{
+    Matrix3, Matrix4, Matrix6, Point3, Quaternion, Unit, UnitQuaternion, Vector3, Vector6,
+};
 use std::ops::Mul;
 use thiserror::Error;
 
@@ -136,6 +138,20 @@ impl Pose {
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
         Self::new(rotation, -(rotation * self.translation))
+    }
+
+    /// The adjoint: `a_from_b * exp(xi) = exp(adjoint * xi) * a_from_b`, twists as
+    /// in [`Pose::exp`], translation first. It carries a twist, or by
+    /// `A covariance A^T` its covariance, from frame `b` to frame `a`.
+    #[must_use]
+    pub fn adjoint(&self) -> Matrix6<f64> {
+        let rotation = self.rotation.to_rotation_matrix();
+        let mut adjoint = Matrix6::zeros();
+        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
+        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(rotation.matrix());
+        let lever = self.translation.cross_matrix() * rotation.matrix();
+        adjoint.fixed_view_mut::<3, 3>(0, 3).copy_from(&lever);
+        adjoint
     }
 
     /// A point of frame `b` in coordinates of frame `a`.
@@ -347,6 +363,14 @@ mod tests {
         assert!(close(pose * Point3::new(0.0, 0.0, 1.0), [1.0, 0.0, 0.0]), "forward");
         assert!(close(pose * Point3::new(1.0, 0.0, 0.0), [0.0, -1.0, 0.0]), "right");
         assert!(close(pose * Point3::new(0.0, 1.0, 0.0), [0.0, 0.0, -1.0]), "down");
+    }
+
+    #[test]
+    fn the_adjoint_carries_twists() {
+        let a_from_b = Pose::exp(&Vector6::new(1.0, -2.0, 0.5, 0.4, -0.9, 0.3));
+        let twist = Vector6::new(0.3, 0.1, -0.2, 0.2, -0.1, 0.5);
+        let there = a_from_b * Pose::exp(&twist) * a_from_b.inverse();
+        assert!((there.log() - a_from_b.adjoint() * twist).norm() < 1e-12);
     }
 
     #[test]

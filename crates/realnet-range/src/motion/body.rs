@@ -1,0 +1,234 @@
+//! The corners of one body, followed from the depth map's frame to the present.
+
+use crate::motion::shift::ShiftSearch;
+use crate::motion::{BodyMotion, MotionError, MotionFailure, MotionOptions, Start};
+use realnet_core::nalgebra::{Point3, Vector6};
+use realnet_core::{CameraModel, Pose, Stamp};
+use realnet_pose::{Correspondences, PnpError, PnpSolver};
+use realnet_vision::{FlowError, LucasKanade, Pyramid, Track, TrackStatus};
+
+/// Corners below which no motion is looked for: those of the smallest problem
+/// that the solver accepts.
+const LEAST_CORNERS: usize = 6;
+
+/// One rigid body.
+#[derive(Clone, Debug)]
+pub(super) struct Body {
+    name: &'static str,
+    seed: u64,
+    pixels: Vec<[f32; 2]>,
+    points: Vec<Point3<f64>>,
+    initial: Vec<[f32; 2]>,
+    tracks: Vec<Track>,
+    /// Points found and their rays, and the place of each among all.
+    found: Vec<Point3<f64>>,
+    rays: Vec<[f64; 2]>,
+    places: Vec<usize>,
+    inliers: Vec<bool>,
+    solver: PnpSolver,
+    past: Past,
+}
+
+/// The last motion, and how fast it changes.
+#[derive(Clone, Copy, Debug)]
+struct Past {
+    now_from_then: Pose,
+    stamp: Stamp,
+    /// Twist a second of `now_from_then`, from the left: in the camera's frame.
+    rate: Vector6<f64>,
+}
+
+/// The pictures that flow runs between.
+pub(super) struct Pictures<'a> {
+    pub(super) then: &'a Pyramid,
+    pub(super) now: &'a Pyramid,
+    pub(super) camera: &'a CameraModel,
+}
+
+impl Body {
+    pub(super) fn new(
+        name: &'static str,
+        options: &MotionOptions,
+        capacity: usize,
+    ) -> Result<Self, MotionError> {
+        Ok(Self {
+            name,
+            seed: options.seed,
+            pixels: Vec::with_capacity(capacity),
+            points: Vec::with_capacity(capacity),
+            initial: Vec::with_capacity(capacity),
+            tracks: Vec::with_capacity(capacity),
+            found: Vec::with_capacity(capacity),
+            rays: Vec::with_capacity(capacity),
+            places: Vec::with_capacity(capacity),
+            inliers: Vec::with_capacity(capacity),
+            solver: PnpSolver::with_capacity(options.ransac, capacity)?,
+            past: Past {
+                now_from_then: Pose::identity(),
+                stamp: Stamp::ZERO,
+                rate: Vector6::zeros(),
+            },
+        })
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.pixels.clear();
+        self.points.clear();
+        self.tracks.clear();
+        self.inliers.clear();
+    }
+
+    pub(super) fn add(&mut self, pixel: [f32; 2], point: Point3<f64>) {
+        self.pixels.push(pixel);
+        self.points.push(point);
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.pixels.len()
+    }
+
+    /// Corners on the depth map's frame, where the flow took them, and whether
+    /// they agree with the motion. Empty before the first estimate.
+    pub(super) fn tracks(&self) -> impl Iterator<Item = ([f32; 2], &Track, bool)> {
+        let inliers = self.inliers.iter().copied().chain(std::iter::repeat(false));
+        self.pixels.iter().zip(&self.tracks).zip(inliers).map(|((p, t), i)| (*p, t, i))
+    }
+
+    /// The last motion, to a frame of `stamp` if it is of that time.
+    pub(super) fn motion_at(&self, stamp: Stamp) -> Option<Pose> {
+        (self.past.stamp == stamp).then_some(self.past.now_from_then)
+    }
+
+    /// A new frame becomes `then`, `kept` away from the old one.
+    pub(super) fn rebase(&mut self, kept_from_then: Option<Pose>, stamp: Stamp) {
+        match kept_from_then {
+            Some(kept_from_then) if self.past.stamp >= stamp => {
+                self.past.now_from_then = self.past.now_from_then * kept_from_then.inverse();
+            }
+            _ => {
+                self.past.now_from_then = Pose::identity();
+                self.past.stamp = stamp;
+            }
+        }
+    }
+
+    /// Forgets how it moved: the next body of this name is another one.
+    pub(super) fn forget(&mut self, stamp: Stamp) {
+        self.past = Past { now_from_then: Pose::identity(), stamp, rate: Vector6::zeros() };
+    }
+
+    /// The motion from then to now.
+    pub(super) fn estimate(
+        &mut self,
+        pictures: &Pictures<'_>,
+        flow: &mut LucasKanade,
+        search: &mut ShiftSearch,
+    ) -> Result<BodyMotion, MotionFailure> {
+        self.inliers.clear();
+        if self.len() < LEAST_CORNERS {
+            self.tracks.clear();
+            let (body, found) = (self.name, self.len());
+            return Err(MotionFailure::Corners { body, found, needed: LEAST_CORNERS });
+        }
+        let seconds = pictures.now.stamp().seconds_since(self.past.stamp);
+        let last = self.past.now_from_then;
+        let predicted = Pose::exp(&(self.past.rate * seconds)) * last;
+        let mut answer = self.attempt(pictures, flow, Start::Predicted, &predicted);
+        if answer.is_err() && self.past.rate != Vector6::zeros() {
+            answer = self.attempt(pictures, flow, Start::Last, &last).or(answer);
+        }
+        if answer.is_err() {
+            let shift = search.run(pictures.then, pictures.now, &self.pixels);
+            if let Some(shift) = shift {
+                self.initial.clear();
+                let moved = self.pixels.iter().map(|p| [p[0] + shift[0], p[1] + shift[1]]);
+                self.initial.extend(moved);
+                answer = self.follow(pictures, flow, Start::Search, &last).or(answer);
+            }
+        }
+        if let Ok(motion) = &answer {
+            self.remember(motion.now_from_then(), pictures.now.stamp());
+        }
+        answer
+    }
+
+    fn remember(&mut self, now_from_then: Pose, stamp: Stamp) {
+        let seconds = stamp.seconds_since(self.past.stamp);
+        if seconds > 0.0 {
+            let step = now_from_then * self.past.now_from_then.inverse();
+            self.past.rate = step.log() / seconds;
+        }
+        self.past.now_from_then = now_from_then;
+        self.past.stamp = stamp;
+    }
+
+    /// Flow from where the pose `start` puts the points.
+    fn attempt(
+        &mut self,
+        pictures: &Pictures<'_>,
+        flow: &mut LucasKanade,
+        name: Start,
+        start: &Pose,
+    ) -> Result<BodyMotion, MotionFailure> {
+        self.initial.clear();
+        let camera = pictures.camera;
+        self.initial.extend(self.points.iter().zip(&self.pixels).map(|(point, pixel)| {
+            match camera.project(&(*start * *point)) {
+                Ok(place) => place.map(|v| v as f32),
+                Err(_) => *pixel,
+            }
+        }));
+        self.follow(pictures, flow, name, start)
+    }
+
+    /// Flow from `self.initial`, and the motion it gives.
+    fn follow(
+        &mut self,
+        pictures: &Pictures<'_>,
+        flow: &mut LucasKanade,
+        start: Start,
+        near: &Pose,
+    ) -> Result<BodyMotion, MotionFailure> {
+        let body = self.name;
+        self.inliers.clear();
+        let initial = Some(self.initial.as_slice());
+        let flowed =
+            flow.track(pictures.then, pictures.now, &self.pixels, initial, &mut self.tracks);
+        if let Err(FlowError::NoPicture) = flowed {
+            return Err(MotionFailure::NoDepth);
+        }
+        self.found.clear();
+        self.rays.clear();
+        self.places.clear();
+        let camera = pictures.camera;
+        for (place, (track, point)) in self.tracks.iter().zip(&self.points).enumerate() {
+            let pixel = track.point.map(f64::from);
+            if track.is_tracked()
+                && camera.contains(pixel)
+                && let Ok(ray) = camera.unproject(pixel)
+            {
+                self.found.push(*point);
+                self.rays.push(ray);
+                self.places.push(place);
+            }
+        }
+        let (tracked, corners) = (self.found.len(), self.len());
+        if tracked < LEAST_CORNERS {
+            let count = |status| self.tracks.iter().filter(|t| t.status == status).count();
+            let (outside, flat) = (count(TrackStatus::Outside), count(TrackStatus::Flat));
+            let lost = corners - tracked - outside - flat;
+            return Err(MotionFailure::Lost { body, tracked, corners, outside, flat, lost });
+        }
+        let estimate = Correspondences::new(&self.found, &self.rays, [camera.fx(), camera.fy()])
+            .and_then(|problem| self.solver.solve_near(&problem, near, self.seed));
+        let estimate =
+            estimate.map_err(|reason: PnpError| MotionFailure::Pose { body, tracked, reason })?;
+        self.inliers.resize(corners, false);
+        for (&place, &inlier) in self.places.iter().zip(self.solver.inliers()) {
+            if let Some(entry) = self.inliers.get_mut(place) {
+                *entry = inlier;
+            }
+        }
+        Ok(BodyMotion { estimate, corners, tracked, start })
+    }
+}
