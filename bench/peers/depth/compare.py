@@ -2,8 +2,8 @@
 """Milliseconds of the VNL depth network at 256x256 on every engine, in one run.
 
 Runs all sides interleaved, block by block, with the same threads, and prints one
-JSON object: medians of the blocks' medians, the least of these, and which side is
-the fastest. The forms of the network:
+JSON object: the median and the least of all runs of a side, and which side has the
+least median. The forms of the network:
 
 * `depth`: the graph as released, from the normalised input to depth at every pixel;
 * `full`: logits of every pixel by the engine, softmax and weighted sum by RealNet
@@ -32,7 +32,7 @@ TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 
 class Side:
     def __init__(self, name, command):
-        self.name, self.times, self.extra = name, [], {}
+        self.name, self.times = name, {}
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -43,8 +43,7 @@ class Side:
     def run(self, count):
         self.process.stdin.write(f"{count}\n")
         self.process.stdin.flush()
-        answer = json.loads(self.process.stdout.readline())
-        return {what: statistics.median(times) for what, times in answer.items()}
+        return json.loads(self.process.stdout.readline())
 
     def close(self):
         self.process.stdin.close()
@@ -90,20 +89,22 @@ def main():
             for side in sides:
                 # Idle threads of the side before still spin for a while.
                 time.sleep(0.1)
-                found = side.run(args.count)
-                side.times.append(found.pop("ms"))
-                for what, ms in found.items():
-                    side.extra.setdefault(what, []).append(ms)
+                for what, ms in side.run(args.count).items():
+                    side.times.setdefault(what, []).extend(ms)
         for side in sides:
             side.close()
-    medians = {side.name: round(statistics.median(side.times), 3) for side in sides}
+    medians = {side.name: round(statistics.median(side.times["ms"]), 3) for side in sides}
     report = {"size": args.size, "threads": args.threads, "median_ms": medians}
     # What a busy machine disturbs least.
-    report["least_ms"] = {side.name: round(min(side.times), 3) for side in sides}
-    report["stages_ms"] = {
-        side.name: {what: round(statistics.median(ms), 3) for what, ms in side.extra.items()}
+    report["least_ms"] = {side.name: round(min(side.times["ms"]), 3) for side in sides}
+    report["stage_medians_ms"] = {
+        side.name: {
+            what: round(statistics.median(ms), 3)
+            for what, ms in side.times.items()
+            if what != "ms"
+        }
         for side in sides
-        if side.extra
+        if len(side.times) > 1
     }
     report["fastest"] = {
         form: min((name for name in medians if name.endswith(f" {form}")), key=medians.get)

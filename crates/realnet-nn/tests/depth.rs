@@ -92,6 +92,9 @@ fn the_network_gives_the_reference_output() {
     let size = OnnxOptions { width: 256, height: 256, half: false };
     let file = OnnxModel::from_vec(vnl.to_onnx(&size).unwrap()).unwrap();
     let reference: Vec<f32> = golden.depth.data().iter().map(|d| d * 10.0).collect();
+    let small = vnl.to_onnx(&OnnxOptions { half: true, ..size }).unwrap();
+    assert!(small.len() < 6_000_000, "{} bytes", small.len());
+    let small = OnnxModel::from_vec(small).unwrap();
     for runtime in runtimes() {
         let name = runtime.describe();
         // What the file gives to whoever runs it.
@@ -100,6 +103,11 @@ fn the_network_gives_the_reference_output() {
         let (worst, mean) = relative(depth, reference.iter().copied());
         println!("{name}: depth of the file, largest {worst:e}, mean {mean:e}");
         assert!(worst < 1e-4, "{worst}");
+        // Weights of 16 bits.
+        let (_, depth) = run(&runtime, small.clone(), golden.input.data());
+        let (worst, mean) = relative(depth, reference.iter().copied());
+        println!("{name}: depth of the small file, largest {worst:e}, mean {mean:e}");
+        assert!(worst < 0.05 && mean < 2e-3, "{worst} {mean}");
 
         // What RealNet makes of the logits at full size.
         let model = DepthModel::from_vnl("golden", vnl.clone());

@@ -14,6 +14,12 @@
 //! length, in pixels of the input after the resize, over the network's. Without
 //! one they are left as they are, and are metres only for a camera whose focal
 //! length happens to be the network's.
+//!
+//! # Where this differs from the authors' program
+//!
+//! Frames are scaled without aliasing ([`Filter::Triangle`]; `Linear` is what they
+//! use) and centred between grey bars; they pad 640x480 to a square on top only.
+//! Depths of the bars are not part of the map.
 
 mod coding;
 mod model;

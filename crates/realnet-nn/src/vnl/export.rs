@@ -6,10 +6,10 @@ use super::{
 };
 use crate::{
     depth::{Alignment, DepthMetadata},
-    layer::{Activation, Conv},
+    layer::Conv,
     onnx::{
         Dim, ElementType, ExportError, OnnxOptions, check_size, value_info,
-        writer::{GraphWriter, int, text},
+        writer::{GraphWriter, int, ints, text},
     },
 };
 
@@ -113,9 +113,12 @@ impl Vnl {
         writer.transfer(path, &doubled, &graph.last)
     }
 
-    /// From the last features to `depth`: doubling, logits, softmax over the bins,
-    /// and with the weights p of the bins depth = scale · 10^(Σ pᵢ·borderᵢ), written
-    /// as exp(Σ pᵢ·ln(10)·borderᵢ + ln(scale)).
+    /// From the last features to `depth`: doubling, logits, and with the weights p of
+    /// the bins after the softmax, depth = scale · 10^(Σ pᵢ·borderᵢ).
+    ///
+    /// It is written as exp(Σ eᵢ·ln(10)·borderᵢ / Σ eᵢ + ln(scale)) with
+    /// eᵢ = exp(logitᵢ − the largest), both sums by one 1x1 convolution. The operator
+    /// Softmax over the channels takes up to as long as all the rest.
     fn write_prediction(
         &self,
         writer: &mut GraphWriter,
@@ -127,23 +130,23 @@ impl Vnl {
         let near = Conv { pad: 1, dilation: 1, weight: Vec::new(), bias: Vec::new(), ..*predict };
         writer.conv_again(PREDICT, features, &near, LOGITS_HALF);
 
-        writer.node("Softmax", &[LOGITS], &["shares"], vec![int("axis", 1)]);
-        let borders = self.coding.log_borders(self.bins());
-        let borders: Vec<f32> = borders.into_iter().map(|border| border as f32).collect();
-        let sum = Conv {
-            shape: [1, borders.len(), 1, 1],
-            weight: borders,
-            bias: vec![self.coding.scale.ln() as f32],
-            stride: 1,
-            pad: 0,
-            dilation: 1,
-            groups: 1,
-            activation: Activation::Identity,
-        };
-        // Borders in 16 bits would move the depth.
-        writer.float_constant("sum.weight", &sum.shape, &sum.weight);
-        writer.float_constant("sum.bias", &[1], &sum.bias);
-        writer.conv_again("sum", "shares", &sum, "log_depth");
+        let bins = self.bins();
+        let borders = self.coding.log_borders(bins);
+        let borders = borders.into_iter().map(|border| border as f32);
+        let rows: Vec<f32> = borders.chain(std::iter::repeat_n(1.0, bins)).collect();
+        writer.float_constant("sums.weight", &[2, bins, 1, 1], &rows);
+        writer.float_constant("log_scale", &[1], &[self.coding.scale.ln() as f32]);
+        writer.int_constant("sums.split", &[1, 1]);
+        let across = || vec![ints("axes", &[1]), int("keepdims", 1)];
+        writer.node("ReduceMax", &[LOGITS], &["largest"], across());
+        writer.node("Sub", &[LOGITS, "largest"], &["below"], vec![]);
+        writer.node("Exp", &["below"], &["shares"], vec![]);
+        let kernel = vec![ints("kernel_shape", &[1, 1])];
+        writer.node("Conv", &["shares", "sums.weight"], &["sums"], kernel);
+        let parts = ["weighted", "total"];
+        writer.node("Split", &["sums", "sums.split"], &parts, vec![int("axis", 1)]);
+        writer.node("Div", &parts, &["log_units"], vec![]);
+        writer.node("Add", &["log_units", "log_scale"], &["log_depth"], vec![]);
         writer.node("Exp", &["log_depth"], &["depth"], vec![]);
         Ok(())
     }
