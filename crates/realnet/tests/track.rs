@@ -197,6 +197,11 @@ fn boxes_of_a_file_come_every_so_often() {
     std::fs::write(&path, rows(&[2])).unwrap();
     let records = lines(&track(&folder, &args).quiet());
     assert_eq!(statuses(&records)[..4], ["waiting", "waiting", "given", "carried"]);
+    std::fs::write(&path, "frame,x0,y0,x1,y1\n0,1,1,9,9\n").unwrap();
+    let run = track(&folder, &args);
+    assert_eq!((run.code, statuses(&lines(&run))[6]), (Some(0), "waiting"));
+    assert!(run.stderr.contains("boxes.csv: no box for any frame"), "{run:#?}");
+    std::fs::write(&path, rows(&[2])).unwrap();
     let source = folder.path().join("frames");
     let run = realnet(&[&["track", "--source", text(&source)], &args[..]].concat()).quiet();
     let last = run.stdout.lines().last().unwrap();
@@ -321,7 +326,7 @@ fn pictures_of_other_sizes_start_anew() {
     tiny::picture(&frame_path(&folder, 2), 64, 48, 120);
     let run = track(&folder, &["--box", "60,40,124,88"]);
     assert_eq!(run.code, Some(0), "{run:#?}");
-    assert!(run.stderr.contains("no flow from a frame of 192x144 to one of 64x48 pixels"));
+    assert!(run.stderr.contains("frame 2: no flow from 192x144 to 64x48 pixels"));
     let records = lines(&run);
     assert_eq!((&records[2]["corners"], &records[3]["corners"]), (&0.into(), &0.into()));
     assert_eq!(records[2]["box_status"], "lost");

@@ -171,19 +171,10 @@ impl Scene {
         })
     }
 
-    /// Whether there are two frames of one size; says so when it is the size.
-    fn is_pair(&self) -> bool {
-        let size = |p: &realnet_vision::Pyramid| p.full().map(|l| (l.width(), l.height())).ok();
-        let (before, now) = (size(self.tracker.previous()), size(self.tracker.present()));
-        if let (Some(a), Some(b)) = (before, now)
-            && a != b
-        {
-            say(format!(
-                "no flow from a frame of {}x{} to one of {}x{} pixels",
-                a.0, a.1, b.0, b.1
-            ));
-        }
-        before.is_some() && before == now
+    /// Width and height of the previous and the present frame, where there are.
+    fn sizes(&self) -> [Option<(u32, u32)>; 2] {
+        [self.tracker.previous(), self.tracker.present()]
+            .map(|pyramid| pyramid.full().ok().map(|level| (level.width(), level.height())))
     }
 
     /// Finds corners in the previous frame, outside `target`, and tracks them.
@@ -289,6 +280,13 @@ pub(crate) fn run(args: &TrackArgs) -> Result<Outcome> {
         // What is written so far must be closed before a failure is reported.
         let done = follow(&mut scene, &mut target, &shot, number).and_then(|record| {
             summary.add(&record);
+            if let [Some((w, h)), Some((u, v))] = scene.sizes()
+                && (w, h) != (u, v)
+            {
+                let index = shot.index;
+                let note = format!("frame {index}: no flow from {w}x{h} to {u}x{v} pixels");
+                bar.suspend(|| say(note));
+            }
             if args.json {
                 output.json(&record)?;
             } else {
@@ -333,6 +331,13 @@ pub(crate) fn run(args: &TrackArgs) -> Result<Outcome> {
     if interrupt::interrupted() {
         return Ok(Outcome::Interrupted);
     }
+    if let Some(path) = args.target.boxes.as_ref().filter(|_| !target.had_box()) {
+        say(format!(
+            "{}: no box for any frame; a frame's number is that of its picture's name, or its \
+             place in the source from 0",
+            path.display()
+        ));
+    }
     if let Some(pair) = args.pair.filter(|_| view.lacks_pair()) {
         say(format!("--pair {pair}: no frame {pair} with one of its size before it came"));
         outcome = Outcome::BadInputs;
@@ -351,10 +356,9 @@ fn follow(
     let mut ms = TrackMs::default();
     scene.tracker.push(&shot.frame);
     ms.pyramid = lap.ms();
-    if scene.is_pair() {
-        scene.track(target.previous_box())?;
-    } else {
-        scene.clear();
+    match scene.sizes() {
+        [Some(before), Some(now)] if before == now => scene.track(target.previous_box())?,
+        _ => scene.clear(),
     }
     ms.flow = lap.ms();
     target.carry(scene.tracker.previous(), scene.tracker.present());

@@ -109,6 +109,11 @@ impl Target {
         !matches!(self.finder, Finder::None)
     }
 
+    /// Whether there ever was a box.
+    pub(super) fn had_box(&self) -> bool {
+        self.last.is_some()
+    }
+
     /// The present frame's box.
     pub(super) fn state(&self) -> &State {
         &self.state
