@@ -68,7 +68,7 @@ pub(super) fn fit(
     }
     let mut fit =
         Fit { similarity: best?.1, inliers: 0, shift_sd: [f32::NAN; 2], scale_sd: f32::NAN };
-    for _ in 0..3 {
+    for _ in 0..5 {
         fit = least_squares(pairs, fit.similarity, square)?;
     }
     (fit.similarity.scale >= scales.0 && fit.similarity.scale <= scales.1).then_some(fit)
@@ -86,24 +86,30 @@ fn of_two(a: &Pair, b: &Pair, baseline: f32, scales: (f32, f32)) -> Option<Simil
     (scale >= scales.0 && scale <= scales.1).then_some(Similarity { scale, shift })
 }
 
-/// Over the points within the squared tolerance of `model`.
+/// Over the points within the squared tolerance of `model`, those further from it
+/// with less weight (Tukey's biweight): what is there by chance hardly counts.
 fn least_squares(pairs: &[Pair], model: Similarity, square: f32) -> Option<Fit> {
-    let inliers = || pairs.iter().filter(|pair| model.residual(pair) <= square);
-    let count = inliers().count();
-    if count < 2 {
+    let weighted = || {
+        pairs.iter().filter_map(|pair| {
+            let share = 1.0 - model.residual(pair) / square;
+            (share >= 0.0).then_some((pair, share * share))
+        })
+    };
+    let inliers = weighted().count();
+    let n: f32 = weighted().map(|(_, weight)| weight).sum();
+    if inliers < 2 || n <= f32::EPSILON {
         return None;
     }
-    let n = count as f32;
     let mean = |of: fn(&Pair) -> [f32; 2]| {
-        [0, 1].map(|i| inliers().map(|pair| of(pair)[i]).sum::<f32>() / n)
+        [0, 1].map(|i| weighted().map(|(pair, weight)| weight * of(pair)[i]).sum::<f32>() / n)
     };
     let (from, to) = (mean(|pair| pair.from), mean(|pair| pair.to));
     let (mut spread, mut product) = (0.0, 0.0);
-    for pair in inliers() {
+    for (pair, weight) in weighted() {
         for i in [0, 1] {
             let d = pair.from[i] - from[i];
-            spread += d * d;
-            product += d * (pair.to[i] - to[i]);
+            spread += weight * d * d;
+            product += weight * d * (pair.to[i] - to[i]);
         }
     }
     if spread <= f32::EPSILON {
@@ -111,20 +117,18 @@ fn least_squares(pairs: &[Pair], model: Similarity, square: f32) -> Option<Fit> 
     }
     let scale = product / spread;
     let similarity = Similarity { scale, shift: [0, 1].map(|i| to[i] - scale * from[i]) };
-    let squares = [0, 1].map(|i| {
-        let residual = |pair: &Pair| scale * pair.from[i] + similarity.shift[i] - pair.to[i];
-        inliers().map(|pair| residual(pair).powi(2)).sum::<f32>()
-    });
-    // Two coordinates a point, three parameters; half of the scale's for each axis.
-    let variance = squares.map(|sum| sum / (n - 1.5).max(0.5));
     // Points of a box err together: what a turn of the target or its parallax does to
     // one point it does to the neighbours. So the mean is no surer than one point.
+    let variance = [0, 1].map(|i| {
+        let residual = |pair: &Pair| scale * pair.from[i] + similarity.shift[i] - pair.to[i];
+        weighted().map(|(pair, weight)| weight * residual(pair).powi(2)).sum::<f32>() / n
+    });
     // Mean squared distance from the middle of the points. At the origin the error
     // of the scale adds to that of the middle.
     let reach = spread / n;
     let scale_variance = (variance[0] + variance[1]) / (2.0 * reach);
     let shift_sd = [0, 1].map(|i| (variance[i] + from[i] * from[i] * scale_variance).sqrt());
-    Some(Fit { similarity, inliers: count, shift_sd, scale_sd: scale_variance.sqrt() })
+    Some(Fit { similarity, inliers, shift_sd, scale_sd: scale_variance.sqrt() })
 }
 
 impl Fit {

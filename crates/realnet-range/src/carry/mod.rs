@@ -230,7 +230,7 @@ pub enum CarryError {
 
 /// Carries the box of a target from one picture to another by optical flow alone.
 ///
-/// The box's part of both pictures is resampled so that its longer side has 128
+/// The box's part of both pictures is resampled so that its longer side has 96
 /// pixels: cost, windows and tolerances go with the box, not with the picture.
 /// Corners in the box are tracked by Lucas and Kanade's method, there and back,
 /// from the predicted motion; the motion (shift and scale) most of them agree on
