@@ -356,6 +356,31 @@ proptest! {
         }
     }
 
+    /// No numbers make it panic, and what is refused leaves no points behind.
+    #[test]
+    fn any_numbers_are_answered(
+        edges in proptest::array::uniform4(prop_oneof![any::<f32>(), -400.0f32..800.0]),
+        shift in proptest::array::uniform2(prop_oneof![any::<f32>(), -400.0f32..400.0]),
+        scale in prop_oneof![any::<f32>(), 0.01f32..100.0], radius in 0.1f32..4.0,
+        scales in (0.25f32..1.0, 1.0f32..4.0),
+    ) {
+        let (from, _) = Scene::default().draw();
+        let search = SearchOptions { radius, scales, steps: 2 };
+        let mut carrier = carrier(CarryOptions { search: Some(search), ..CarryOptions::default() });
+        let [x0, y0, x1, y1] = edges;
+        let sorted = BoundingBox::new(x0.min(x1), y0.min(y1), x0.max(x1), y0.max(y1));
+        for bbox in [edges.into(), sorted] {
+            for prediction in [Motion { shift, scale }, Motion { shift, scale: 1.0 }, Motion::NONE] {
+                let carried = carrier.carry(&from, &from, &bbox, prediction);
+                prop_assert_eq!(carried.is_err(), carrier.points().is_empty());
+                if let Ok(carried) = carried {
+                    prop_assert!(carried.bbox.iou(&bbox) > 0.5, "{carried:?}");
+                    prop_assert!(carried.center_sd.iter().all(|sd| *sd > 0.0), "{carried:?}");
+                }
+            }
+        }
+    }
+
     /// A target that was replaced by another is never carried.
     #[test]
     fn strangers_are_refused(
