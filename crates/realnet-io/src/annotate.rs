@@ -1,7 +1,9 @@
 //! Boxes, labels, corners and their flow drawn on a frame.
 
+mod depth;
 mod flow;
 
+pub use depth::{depth_colors, depth_error_colors};
 pub use flow::{FlowMark, FlowSide, direction_color, side_by_side};
 
 use ab_glyph::{Font, FontRef, GlyphId, InvalidFont, PxScale, ScaleFont, point};

@@ -27,10 +27,14 @@
 mod ort_search;
 
 pub use ort_search::find_ort_libraries;
-pub use realnet_core::{BoundingBox, CameraModel, Detection, Frame, Pose, Stamp};
+pub use realnet_core::{
+    BoundingBox, CameraCalibration, CameraModel, DepthMap, Detection, Distortion, Frame,
+    Intrinsics, Pose, Stamp,
+};
 pub use realnet_eval as eval;
-pub use realnet_io::{annotate, datasets, picture, results, source, video};
+pub use realnet_io::{annotate, atomic, datasets, picture, results, source, video};
 pub use realnet_nn::detector::{DetectError, Detector, DetectorModel, DetectorOptions, Stage};
 pub use realnet_nn::engine::{EngineChoice, Provider, Runtime, RuntimeOptions};
 pub use realnet_nn::{onnx, weights, yolov5};
+pub use realnet_range::{carry, cues, motion};
 pub use realnet_vision::Filter;

@@ -4,6 +4,7 @@ mod convert;
 mod detect;
 mod engine_args;
 mod engines;
+mod eval;
 mod failure;
 mod interrupt;
 mod model_args;
@@ -34,6 +35,9 @@ enum Command {
     /// Measure a network against labelled data.
     #[command(subcommand)]
     Val(ValCommand),
+    /// Measure ranging and following on recorded data.
+    #[command(subcommand)]
+    Eval(eval::EvalCommand),
     /// Say which inference engines were found, where, and what they can do.
     Engines(engines::EnginesArgs),
 }
@@ -53,6 +57,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Track(args) => track::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Val(ValCommand::Detect(args)) => val::run(&args),
+        Command::Eval(command) => eval::run(&command),
         Command::Engines(args) => engines::run(&args),
     };
     failure::exit_code(result)
