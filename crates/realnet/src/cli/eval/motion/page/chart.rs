@@ -130,7 +130,7 @@ pub(super) fn density(histogram: &DepthHistogram, gate: &ForegroundGate) -> Stri
         );
     }
     let line: Vec<String> = (0..bins)
-        .zip(smooth())
+        .zip(histogram.density())
         .map(|(i, v)| format!("{:.1},{:.1}", plot.x(histogram.center(i)), plot.y(100.0 * v)))
         .collect();
     let _ = writeln!(
