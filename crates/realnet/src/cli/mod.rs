@@ -6,6 +6,7 @@ mod engine_args;
 mod engines;
 mod eval;
 mod failure;
+mod frame_files;
 mod interrupt;
 mod model_args;
 mod output;
