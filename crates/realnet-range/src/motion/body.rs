@@ -94,6 +94,11 @@ impl Body {
         self.pixels.iter().zip(&self.tracks).zip(inliers).map(|((p, t), i)| (*p, t, i))
     }
 
+    /// The points of the corners in then's optical frame.
+    pub(super) fn points(&self) -> &[Point3<f64>] {
+        &self.points
+    }
+
     /// The last motion, to a frame of `stamp` if it is of that time.
     pub(super) fn motion_at(&self, stamp: Stamp) -> Option<Pose> {
         (self.past.stamp == stamp).then_some(self.past.now_from_then)

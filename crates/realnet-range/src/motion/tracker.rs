@@ -5,6 +5,7 @@ use crate::motion::body::{Body, Pictures};
 use crate::motion::key::KeyFinder;
 use crate::motion::shift::ShiftSearch;
 use crate::motion::{KeySummary, Motion, MotionError, MotionFailure, MotionOptions};
+use realnet_core::nalgebra::Point3;
 use realnet_core::{CameraModel, DepthMap, Frame, Pose, Stamp};
 use realnet_pose::{DepthWarper, WarpRegion};
 use realnet_vision::{LucasKanade, Pyramid, Track};
@@ -224,6 +225,19 @@ impl MotionTracker {
         self.target.tracks()
     }
 
+    /// The points of the background that its corners were lifted to, in then's
+    /// optical frame, metres, in the order of [`MotionTracker::background_tracks`].
+    #[must_use]
+    pub fn background_points(&self) -> &[Point3<f64>] {
+        self.background.points()
+    }
+
+    /// The points of the target, as [`MotionTracker::background_points`].
+    #[must_use]
+    pub fn target_points(&self) -> &[Point3<f64>] {
+        self.target.points()
+    }
+
     /// The depth map as it is now: warped by the motions of the last
     /// [`MotionTracker::estimate`]. Where the target's motion is unknown, the pixels
     /// that it covered are unknown.
@@ -284,4 +298,3 @@ fn region(gate: &ForegroundGate, motion: Option<Pose>) -> WarpRegion {
         motion,
     }
 }
-
