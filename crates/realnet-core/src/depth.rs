@@ -75,6 +75,12 @@ impl DepthMap {
         Self::new(stamp, width, height, vec![Self::UNKNOWN; pixels])
     }
 
+    /// Becomes a copy of `other`, in the memory it has.
+    pub fn copy_from(&mut self, other: &Self) {
+        (self.stamp, self.width, self.height) = (other.stamp, other.width, other.height);
+        self.data.clone_from(&other.data);
+    }
+
     /// Whether a value is a depth.
     #[must_use]
     pub fn is_known(depth: f32) -> bool {

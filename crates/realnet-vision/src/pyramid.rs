@@ -174,6 +174,20 @@ impl Pyramid {
         }
     }
 
+    /// Becomes a copy of `other`, in the memory it has: copying pyramids of one size
+    /// allocates nothing.
+    pub fn copy_from(&mut self, other: &Self) {
+        let Self { window, max_level, levels, built, stamp, sums: _, simd } = self;
+        (*window, *max_level) = (other.window, other.max_level);
+        (*built, *stamp, *simd) = (other.built, other.stamp, other.simd);
+        levels.resize_with(other.levels.len(), Level::default);
+        for (level, other) in levels.iter_mut().zip(&other.levels) {
+            (level.width, level.height) = (other.width, other.height);
+            (level.border, level.stride) = (other.border, other.stride);
+            level.data.clone_from(&other.data);
+        }
+    }
+
     /// The levels, the full size first; empty before the first
     /// [`Pyramid::build`].
     #[must_use]

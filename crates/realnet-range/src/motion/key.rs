@@ -6,6 +6,8 @@ use crate::motion::{KeySummary, MotionError, MotionOptions};
 use realnet_core::{CameraModel, DepthMap};
 use realnet_vision::{Corner, CornerDetector, CornerMask, Pyramid, Region};
 
+/// Corners of the background that make those behind the target dispensable.
+const ENOUGH: usize = 30;
 /// Depths known among the 3 x 3 pixels around a corner, at least.
 const LEAST_KNOWN: usize = 5;
 
@@ -17,16 +19,21 @@ pub(super) struct KeyFinder {
     mask: CornerMask,
     corners: Vec<Corner>,
     max_depth_step: f32,
+    /// Half the sides of the window that flow compares: as far as a body disturbs
+    /// the flow of another.
+    reach: (u32, u32),
 }
 
 impl KeyFinder {
     pub(super) fn new(camera: &CameraModel, options: &MotionOptions) -> Result<Self, MotionError> {
+        let (width, height) = options.flow.window.size();
         Ok(Self {
             background: CornerDetector::new(options.background)?,
             target: CornerDetector::new(options.target)?,
             mask: CornerMask::new(camera.width(), camera.height(), true),
             corners: Vec::new(),
             max_depth_step: options.max_depth_step,
+            reach: (width as u32 / 2, height as u32 / 2),
         })
     }
 
@@ -52,39 +59,42 @@ impl KeyFinder {
         let region = gate.map(|gate| box_region(gate, scale));
         self.mask.fill(true);
         if let Some(region) = region {
-            self.mask.set(region, false);
+            // Near the target the flow of the background is disturbed.
+            self.mask.set(grown(region, self.reach), false);
         }
         let found = self.background.detect(picture, Some(&self.mask), &mut corners);
-        let mut lift = |corners: &[Corner], background: &mut Body, target: &mut Body| {
-            for corner in corners {
-                let place = depth_place(corner.point, scale);
-                let Some(z) = depth_at(depth, place, max_depth_step) else {
-                    dropped += 1;
-                    continue;
-                };
-                let side = gate.map_or(Side::Background, |gate| gate.class_of(place, z));
-                let body = match side {
-                    Side::Background => &mut *background,
-                    Side::Target => &mut *target,
-                    Side::Unclear => {
+        let mut lift =
+            |corners: &[Corner], inside: bool, background: &mut Body, target: &mut Body| {
+                let scarce = background.len() < ENOUGH;
+                for corner in corners {
+                    let place = depth_place(corner.point, scale);
+                    let Some(z) = depth_at(depth, place, max_depth_step) else {
                         dropped += 1;
                         continue;
+                    };
+                    let side = gate.map_or(Side::Background, |gate| gate.class_of(place, z));
+                    let body = match side {
+                        Side::Target => &mut *target,
+                        Side::Background if !inside || scarce => &mut *background,
+                        _ => {
+                            dropped += 1;
+                            continue;
+                        }
+                    };
+                    let pixel = corner.point.map(f64::from);
+                    match camera.unproject_at_depth(pixel, f64::from(z)) {
+                        Ok(point) => body.add(corner.point, point),
+                        Err(_) => dropped += 1,
                     }
-                };
-                let pixel = corner.point.map(f64::from);
-                match camera.unproject_at_depth(pixel, f64::from(z)) {
-                    Ok(point) => body.add(corner.point, point),
-                    Err(_) => dropped += 1,
                 }
-            }
-        };
-        let mut answer = found.map(|()| lift(&corners, background, target));
+            };
+        let mut answer = found.map(|()| lift(&corners, false, background, target));
         if let (Ok(()), Some(region)) = (&answer, region) {
             self.mask.fill(false);
             self.mask.set(region, true);
             answer = self.target.detect(picture, Some(&self.mask), &mut corners);
             if answer.is_ok() {
-                lift(&corners, background, target);
+                lift(&corners, true, background, target);
             }
         }
         self.corners = corners;
@@ -132,4 +142,15 @@ fn box_region(gate: &ForegroundGate, scale: [f64; 2]) -> Region {
     let (width, height) =
         (end(b.x1, scale[0]).saturating_sub(x), end(b.y1, scale[1]).saturating_sub(y));
     Region { x, y, width, height }
+}
+
+/// A region with a margin all around.
+fn grown(region: Region, (x, y): (u32, u32)) -> Region {
+    let (left, top) = (region.x.min(x), region.y.min(y));
+    Region {
+        x: region.x - left,
+        y: region.y - top,
+        width: region.width.saturating_add(left).saturating_add(x),
+        height: region.height.saturating_add(top).saturating_add(y),
+    }
 }

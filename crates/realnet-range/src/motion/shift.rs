@@ -1,13 +1,16 @@
 //! How far a part of the picture went, by trying every shift of a small picture.
 
-use realnet_vision::{PatchSearch, Pyramid};
+use realnet_vision::{Level, PatchSearch, Pyramid};
 
 /// Sides of a patch, pixels of the small picture.
 const LEAST_SIDE: u32 = 5;
 /// The largest shift looked for, as a share of the picture's side.
-const REACH: f32 = 0.3;
+const REACH: f32 = 0.45;
 /// Correlation below which two patches are not the same.
-const LEAST_SCORE: f32 = 0.6;
+const LEAST_SCORE: f32 = 0.7;
+/// A body wider than this share of the picture is searched for in parts, since a
+/// shift takes a part of it out of the picture.
+const WHOLE: f32 = 0.5;
 
 /// Finds one shift for a cloud of points.
 #[derive(Clone, Debug, Default)]
@@ -15,6 +18,9 @@ pub(super) struct ShiftSearch {
     search: PatchSearch,
     patch: Vec<u8>,
 }
+
+/// First pixel and number of pixels.
+type Span = (u32, u32);
 
 impl ShiftSearch {
     /// The shift, in pixels, of the surroundings of `points` from `then` to `now`.
@@ -32,35 +38,70 @@ impl ShiftSearch {
                 high[i] = high[i].max(point[i]);
             }
         }
-        // The smallest level on which the patch has pixels enough.
+        // The smallest level on which the body has pixels enough.
         let levels = then.levels().iter().zip(now.levels()).enumerate().rev();
         for (index, (then, now)) in levels {
             let scale = 1.0 / (1_u32 << index) as f32;
-            let (width, height) = (then.width(), then.height());
-            // A patch of the whole picture would have nowhere to go: its middle.
-            let side = |i: usize, size: u32| {
-                let reach = size as f32 * REACH;
-                let start = (low[i] * scale).max(reach * 0.5).max(0.0);
-                let end = (high[i] * scale + 1.0).min(size as f32 - reach * 0.5);
-                (start as u32, (end - start).max(0.0) as u32, reach as u32)
+            let span = |i: usize, size: u32| -> Span {
+                let start = (low[i] * scale).max(0.0) as u32;
+                let end = ((high[i] * scale).max(0.0) as u32 + 1).min(size);
+                (start, end.saturating_sub(start))
             };
-            let ((x, columns, reach_x), (y, rows, reach_y)) = (side(0, width), side(1, height));
-            if columns < LEAST_SIDE || rows < LEAST_SIDE {
+            let (columns, rows) = (span(0, then.width()), span(1, then.height()));
+            if columns.1 < LEAST_SIDE || rows.1 < LEAST_SIDE {
                 continue;
             }
-            self.patch.clear();
-            for y in y..y + rows {
-                let row = then.row(y)?.get(x as usize..(x + columns) as usize)?;
-                self.patch.extend_from_slice(row);
+            let mut best: Option<([f32; 2], f32)> = None;
+            for rows in parts(rows, then.height()).into_iter().flatten() {
+                for columns in parts(columns, then.width()).into_iter().flatten() {
+                    let found = self.part(then, now, columns, rows);
+                    if let Some((shift, score)) = found
+                        && best.is_none_or(|best| score > best.1)
+                    {
+                        best = Some((shift.map(|s| s / scale), score));
+                    }
+                }
             }
-            let origin = (x as i32 - reach_x as i32, y as i32 - reach_y as i32);
-            let positions = (2 * reach_x + 1, 2 * reach_y + 1);
-            let scores =
-                self.search.run(&self.patch, (columns, rows), now, origin, positions).ok()?;
-            let ((best_x, best_y), score) = scores.best();
-            return (score >= LEAST_SCORE)
-                .then(|| [(best_x - x as i32) as f32 / scale, (best_y - y as i32) as f32 / scale]);
+            return best.filter(|(_, score)| *score >= LEAST_SCORE).map(|(shift, _)| shift);
         }
         None
     }
+
+    /// The best shift of one patch, in pixels of the level, and its score.
+    fn part(
+        &mut self,
+        then: &Level,
+        now: &Level,
+        (x, columns): Span,
+        (y, rows): Span,
+    ) -> Option<([f32; 2], f32)> {
+        self.patch.clear();
+        for y in y..y + rows {
+            self.patch.extend_from_slice(then.row(y)?.get(x as usize..(x + columns) as usize)?);
+        }
+        let reach = |size: u32| (size as f32 * REACH) as i32;
+        let (reach_x, reach_y) = (reach(then.width()), reach(then.height()));
+        // Only where the whole patch is inside the picture.
+        let range = |start: u32, length: u32, size: u32, reach: i32| {
+            let first = (start as i32 - reach).max(0);
+            let last = (start as i32 + reach).min(size as i32 - length as i32);
+            (first, u32::try_from(last - first + 1).unwrap_or(0))
+        };
+        let (first_x, count_x) = range(x, columns, then.width(), reach_x);
+        let (first_y, count_y) = range(y, rows, then.height(), reach_y);
+        let origin = (first_x, first_y);
+        let size = (columns, rows);
+        let scores = self.search.run(&self.patch, size, now, origin, (count_x, count_y)).ok()?;
+        let ((best_x, best_y), score) = scores.best();
+        Some(([(best_x - x as i32) as f32, (best_y - y as i32) as f32], score))
+    }
+}
+
+/// The span itself, or three parts of it when it is large.
+fn parts((start, length): Span, size: u32) -> [Option<Span>; 3] {
+    let part = length * 2 / 5;
+    if (length as f32) < WHOLE * size as f32 || part < LEAST_SIDE {
+        return [Some((start, length)), None, None];
+    }
+    [0, (length - part) / 2, length - part].map(|offset| Some((start + offset, part)))
 }

@@ -118,7 +118,7 @@ impl MotionTracker {
         if !self.started {
             return;
         }
-        self.kept.clone_from(&self.now);
+        self.kept.copy_from(&self.now);
         let stamp = self.now.stamp();
         let background = self.background.motion_at(stamp);
         let target = self.target.motion_at(stamp);
@@ -176,7 +176,7 @@ impl MotionTracker {
         let (width, height) = (depth.width(), depth.height());
         match &mut self.depth {
             Some(known) if (known.map.width(), known.map.height()) == (width, height) => {
-                known.map.clone_from(depth);
+                known.map.copy_from(depth);
                 known.gate = gate.copied();
             }
             _ => {

@@ -295,7 +295,7 @@ impl Motion {
 
     fn velocity(&self, motion: &Pose, covariance: Matrix6<f64>) -> Option<Velocity> {
         let seconds = self.seconds();
-        if !(seconds > 0.0) {
+        if seconds <= 0.0 {
             return None;
         }
         let twist = motion.log() / seconds;
