@@ -265,6 +265,7 @@ pub struct Source {
     name: String,
     live: bool,
     length: Option<u64>,
+    files: Arc<[PathBuf]>,
     patience: Option<Duration>,
     stopper: Stopper,
     thread: Option<JoinHandle<()>>,
@@ -301,7 +302,8 @@ impl Source {
             Some(thread.map_err(|reason| SourceError::File { path: name.clone().into(), reason })?);
         let patience = if live { options.patience } else { None };
         let stopper = Stopper { queue, release };
-        Ok(Self { kind, name, live, length, patience, stopper, thread })
+        let files = Arc::default();
+        Ok(Self { kind, name, live, length, files, patience, stopper, thread })
     }
 
     /// What the source is.
@@ -314,6 +316,13 @@ impl Source {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The files it reads: the pictures in their order, or the video. None for
+    /// streams and cameras.
+    #[must_use]
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
     }
 
     /// True when stale frames are dropped.
@@ -452,9 +461,13 @@ fn open_pictures(
     let queue = Arc::new(Queue::new(options.ahead, false));
     queue.set_fps(Some(fps));
     let length = Some(paths.len() as u64);
-    let producer = Box::new(pictures::Pictures::new(paths, options, fps));
+    let files: Arc<[PathBuf]> = paths.into();
+    let producer = Box::new(pictures::Pictures::new(Arc::clone(&files), options, fps));
     let wiring: (_, Release) = (queue, Arc::new(|| {}));
-    Source::start(kind, spec.to_string(), false, length, options, wiring, producer)
+    let mut source =
+        Source::start(kind, spec.to_string(), false, length, options, wiring, producer)?;
+    source.files = files;
+    Ok(source)
 }
 
 #[cfg(all(feature = "v4l", target_os = "linux"))]

@@ -4,6 +4,7 @@ use super::{Produce, SourceError, SourceFrame, SourceOptions};
 use crate::picture;
 use realnet_core::Stamp;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The pictures of a folder in natural order (`2.jpg` before `10.jpg`); not of
 /// its subfolders, and no hidden files.
@@ -53,24 +54,25 @@ fn sort(paths: &mut [PathBuf]) {
 /// Decodes pictures one after the other. One that cannot be read is an error of
 /// its own; the next ones still come.
 pub(super) struct Pictures {
-    paths: std::vec::IntoIter<PathBuf>,
-    index: u64,
+    paths: Arc<[PathBuf]>,
+    /// The next one's place among them.
+    next: usize,
     fps: f64,
     limits: picture::Limits,
 }
 
 impl Pictures {
-    pub(super) fn new(paths: Vec<PathBuf>, options: &SourceOptions, fps: f64) -> Self {
-        Self { paths: paths.into_iter(), index: 0, fps, limits: options.limits }
+    pub(super) fn new(paths: Arc<[PathBuf]>, options: &SourceOptions, fps: f64) -> Self {
+        Self { paths, next: 0, fps, limits: options.limits }
     }
 }
 
 impl Produce for Pictures {
     fn next(&mut self, spare: Vec<u8>) -> Option<Result<SourceFrame, SourceError>> {
-        let path = self.paths.next()?;
-        let index = self.index;
-        self.index += 1;
-        Some(match picture::read_with(&path, &self.limits, spare) {
+        let path = self.paths.get(self.next)?;
+        let index = self.next as u64;
+        self.next += 1;
+        Some(match picture::read_with(path, &self.limits, spare) {
             Ok(frame) => Ok(SourceFrame {
                 frame: frame.with_stamp(Stamp::of_frame(index, self.fps)),
                 index,

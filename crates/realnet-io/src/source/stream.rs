@@ -67,7 +67,10 @@ pub(super) fn open(
     });
     let kind = if path.is_some() { SourceKind::Video } else { SourceKind::Stream };
     let wiring = (queue, release);
-    Source::start(kind, spec.to_string(), live, length, options, wiring, Box::new(producer))
+    let mut source =
+        Source::start(kind, spec.to_string(), live, length, options, wiring, Box::new(producer))?;
+    source.files = path.into_iter().map(Path::to_path_buf).collect();
+    Ok(source)
 }
 
 fn is_file_address(address: &str) -> bool {

@@ -1,7 +1,7 @@
 //! Frames that were drawn on, as files: pictures under their own names,
 //! everything else as one video.
 
-use super::failure::keep_input;
+use super::failure::bad_input;
 use anyhow::Result;
 use realnet::{
     Frame, picture,
@@ -9,15 +9,19 @@ use realnet::{
     video::VideoWriter,
 };
 use std::{
+    cell::OnceCell,
     collections::HashSet,
     path::{Path, PathBuf},
 };
 
-/// The names of a run's results, one a frame.
+/// The names of a run's results, one a frame; and those that no result may have.
 pub(crate) struct FrameNames {
     /// A video's name without extension, when the source is no set of pictures.
     moving: Option<String>,
     used: HashSet<String>,
+    /// The files of the source, and where they really are, once that is asked.
+    inputs: Vec<PathBuf>,
+    real_inputs: OnceCell<HashSet<PathBuf>>,
 }
 
 impl FrameNames {
@@ -30,7 +34,23 @@ impl FrameNames {
             SourceKind::Stream => Some("stream".to_owned()),
             SourceKind::Camera => Some("camera".to_owned()),
         };
-        Self { moving, used: reserved.iter().map(|name| (*name).to_owned()).collect() }
+        Self {
+            moving,
+            used: reserved.iter().map(|name| (*name).to_owned()).collect(),
+            inputs: source.files().to_vec(),
+            real_inputs: OnceCell::new(),
+        }
+    }
+
+    /// Refuses to write a result over a file of the source, read already or not.
+    pub(crate) fn keep_inputs(&self, output: &Path) -> Result<()> {
+        // What is not there replaces nothing.
+        let Ok(output) = output.canonicalize() else { return Ok(()) };
+        let real = || self.inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
+        if self.real_inputs.get_or_init(real).contains(&output) {
+            return Err(bad_input(format!("the input {} would be overwritten", output.display())));
+        }
+        Ok(())
     }
 
     /// True when the frames are those of a video, stream or camera.
@@ -82,14 +102,14 @@ impl FrameFiles {
             let extension = source.extension().filter(|_| picture::has_picture_extension(source));
             let extension = extension.unwrap_or("jpg".as_ref());
             let path = self.folder.join(own).with_added_extension(extension);
-            keep_input(&path, source)?;
+            names.keep_inputs(&path)?;
             return Ok(picture::write(&path, frame)?);
         };
         let video = match &mut self.video {
             Some(video) => video,
             None => {
                 let path = self.folder.join(format!("{moving}.mp4"));
-                keep_input(&path, source)?;
+                names.keep_inputs(&path)?;
                 let (width, height) = (frame.width(), frame.height());
                 let fps = fps.unwrap_or(30.0);
                 self.video.insert(VideoWriter::create(&path, width, height, fps)?)
@@ -99,8 +119,15 @@ impl FrameFiles {
     }
 
     /// Saves a picture that is no frame.
-    pub(crate) fn write_extra(&self, name: &str, picture: &Frame) -> Result<()> {
-        Ok(picture::write(&self.folder.join(name), picture)?)
+    pub(crate) fn write_extra(
+        &self,
+        names: &FrameNames,
+        name: &str,
+        picture: &Frame,
+    ) -> Result<()> {
+        let path = self.folder.join(name);
+        names.keep_inputs(&path)?;
+        Ok(picture::write(&path, picture)?)
     }
 
     /// Closes what is open.

@@ -2,8 +2,8 @@
 //! not stop: a file where a folder must be stands in the way of everyone.
 
 use crate::{
-    cases::{Bench, Case, run},
-    common::{command, finish, listing, realnet, shared, tiny},
+    cases::{Bench, Case, run, unfit},
+    common::{command, ffmpeg, finish, has_ffmpeg, listing, realnet, shared, tiny},
 };
 
 #[test]
@@ -83,4 +83,59 @@ fn a_full_disk_is_a_failure() {
     assert_eq!(run.code, Some(1), "{run:#?}");
     assert!(run.stderr.contains("/dev/full") && run.stderr.contains(says), "{run:#?}");
     assert_eq!(run.records().len(), 1);
+}
+
+#[test]
+fn results_never_replace_an_input_that_is_still_to_be_read() {
+    let bench = Bench::new();
+    for folder in ["a", "b"] {
+        std::fs::create_dir(bench.path(folder)).unwrap();
+        tiny::picture(&bench.path(folder).join("1.png"), 64, 64, 200);
+    }
+    // A picture whose name ends as a text's does.
+    let odd = bench.write("odd.txt", std::fs::read(bench.path("good.png")).unwrap());
+    let inputs =
+        || ["a/1.png", "b/1.png", "odd.txt"].map(|n| std::fs::read(bench.path(n)).unwrap());
+    let before = inputs();
+    // Of `a/1.png` would be made `b/1.png`, which comes next.
+    let (all, second) = (bench.text("[ab]/1.png"), bench.text("b"));
+    let model = bench.text("good.onnx");
+    let detect = |more: &[&str]| realnet(&bench.detect(&model, &all, more));
+    let save = detect(&["--save", &second]);
+    let coco = detect(&["--save-coco", &bench.text("b/1.png")]);
+    let track = realnet(&["track", "--json", "--source", &all, "--save", &second]);
+    let here = bench.text("");
+    let text = realnet(&bench.detect(&model, &odd, &["--save-txt", &here]));
+    for (run, input) in
+        [(save, "b/1.png"), (coco, "b/1.png"), (track, "b/1.png"), (text, "odd.txt")]
+    {
+        assert_eq!(run.code, Some(2), "{run:#?}");
+        assert_eq!(unfit(&run.stderr), [""; 0], "{run:#?}");
+        let says = format!("{input} would be overwritten");
+        assert!(run.stderr.contains(&says), "{run:#?}");
+    }
+    assert!(inputs() == before, "an input was changed");
+    // A folder of its own, twice: only inputs are protected.
+    let out = bench.text("out");
+    for _ in 0..2 {
+        let run = detect(&["--save", &out]).quiet();
+        assert_eq!(run.records().len(), 2);
+        assert_eq!(listing(&bench.path("out")), ["1-2.png", "1.png"]);
+    }
+}
+
+#[test]
+fn a_video_named_by_an_address_is_kept() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let bench = Bench::new();
+    let video = bench.text("drive.mp4");
+    ffmpeg(&["-f", "lavfi", "-i", "testsrc=size=64x64:rate=5:duration=1", &video]);
+    let before = std::fs::read(&video).unwrap();
+    let run =
+        realnet(&["track", "--source", &format!("file://{video}"), "--save", &bench.text("")]);
+    assert_eq!(run.code, Some(2), "{run:#?}");
+    assert!(run.stderr.contains("drive.mp4 would be overwritten"), "{run:#?}");
+    assert!(std::fs::read(&video).unwrap() == before);
 }

@@ -45,6 +45,7 @@ impl Saver {
         for directory in [&args.save, &args.save_txt].into_iter().flatten() {
             make_directory(directory)?;
         }
+        let file_names = FrameNames::new(source, &[]);
         // Written at the end: what stands in its way is to be known before the work.
         if let Some(path) = &args.save_coco {
             if path.is_dir() {
@@ -53,6 +54,7 @@ impl Saver {
             if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
                 make_directory(folder)?;
             }
+            file_names.keep_inputs(path)?;
         }
         let pictures = match &args.save {
             Some(directory) => Some((FrameFiles::new(directory), Annotator::new(names.to_vec())?)),
@@ -63,7 +65,7 @@ impl Saver {
             texts: args.save_txt.clone().map(|directory| (directory, args.save_conf)),
             coco: args.save_coco.clone().map(|path| (path, CocoCollector::new(None))),
             ids: ImageIds::default(),
-            names: FrameNames::new(source, &[]),
+            names: file_names,
         })
     }
 
@@ -78,6 +80,7 @@ impl Saver {
         let own = self.names.of(index, &name);
         if let Some((directory, with_confidence)) = &self.texts {
             let path = directory.join(format!("{own}.txt"));
+            self.names.keep_inputs(&path)?;
             results::write_yolo(&path, found, frame.width(), frame.height(), *with_confidence)?;
         }
         if let Some((_, collector)) = &mut self.coco {

@@ -36,7 +36,7 @@ impl Saver {
 
     /// Saves the picture of a pair.
     pub(super) fn before_after(&self, picture: &Frame) -> Result<()> {
-        self.files.write_extra(BEFORE_AFTER[1], picture)
+        self.files.write_extra(&self.names, BEFORE_AFTER[1], picture)
     }
 
     /// Closes what is open, and saves `pair` if there is one.
