@@ -12,6 +12,8 @@ pub enum Origin {
     P3p,
     /// Three points, improved on their inliers during RANSAC.
     LocalOptimisation,
+    /// Two points and a given rotation.
+    Translation,
 }
 
 /// An accepted pose.

@@ -7,6 +7,7 @@
 //! | [`p3p`] | 3 points and their bearings | up to 4 poses that fit exactly |
 //! | [`dlt`] | 6 or more points off a plane, no outliers | the algebraic pose |
 //! | [`PnpSolver::refine`] | a pose nearby, 4 or more points | the Huber estimate, its covariance |
+//! | [`PnpSolver::solve_translation`] | 4 or more points, a rotation | the translation, its covariance |
 //! | [`PnpSolver::solve`] | points with outliers, a seed | RANSAC, refined, with covariance |
 //!
 //! A correspondence is a point in the *world* (any rigid body: the ground, the
@@ -81,6 +82,7 @@ mod ransac;
 mod rng;
 mod solver;
 mod statistics;
+mod translation;
 mod warp;
 
 pub use dlt::dlt;

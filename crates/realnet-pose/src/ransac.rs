@@ -2,7 +2,7 @@
 
 use crate::geometry::Rt;
 use crate::kernel::{Loss, Soa};
-use crate::lm::minimise;
+use crate::lm::{Minimum, minimise};
 use crate::p3p;
 use crate::rng::Rng;
 use crate::{Correspondences, Origin};
@@ -12,6 +12,8 @@ use realnet_core::nalgebra::Vector3;
 /// noise of three points.
 const LOCAL_STEPS: usize = 4;
 const LOCAL_TOLERANCE: f64 = 1e-3;
+/// Thresholds at which the best pose is looked at once more.
+const WIDE: f64 = 2.0;
 
 /// The bounds of a search.
 #[derive(Clone, Copy, Debug)]
@@ -50,7 +52,8 @@ pub(crate) fn sample(
 /// 2000) over the correspondences `indices`, which are those in `soa` in the same
 /// order. A new best is improved at once on its inliers (LO-RANSAC: Chum, Matas
 /// and Kittler, 2003), and the search ends when a sample of inliers of the best
-/// has been drawn with the confidence asked for.
+/// has been drawn with the confidence asked for. The best is then looked at once more
+/// with a wider threshold, [`widened`].
 ///
 /// Scoring a pose ends as soon as it is certain to be worse than the best.
 pub(crate) fn search(
@@ -107,7 +110,29 @@ pub(crate) fn search(
             needed = enough(&best, count, bounds);
         }
     }
-    best.map(|best| Found { iterations, ..best })
+    best.map(|best| Found { iterations, ..widened(soa, best, cutoff) })
+}
+
+/// The best pose, or a better one beyond the next: where the minimum at
+/// [`WIDE`] thresholds leads to.
+///
+/// The truncated cost has many minima when the noise fills the threshold or has long
+/// tails, and three points lead to a convenient one. The wider cost has fewer
+/// (graduated optimisation: Blake and Zisserman, "Visual Reconstruction", 1987).
+fn widened(soa: &Soa, best: Found, cutoff: f64) -> Found {
+    let loss = |cutoff| Loss { huber: f64::INFINITY, cutoff };
+    let minimum = |pose, loss| minimise(soa, pose, loss, LOCAL_STEPS, LOCAL_TOLERANCE);
+    let wide = minimum(&best.pose, loss(WIDE * cutoff));
+    let Minimum { pose, normal, .. } = minimum(&wide.pose, loss(cutoff));
+    if normal.cost < best.cost {
+        let origin = match best.origin {
+            Origin::Guess => Origin::Guess,
+            _ => Origin::LocalOptimisation,
+        };
+        Found { pose, cost: normal.cost, inliers: normal.within, origin, ..best }
+    } else {
+        best
+    }
 }
 
 /// Samples after which one of inliers only has been drawn with the confidence

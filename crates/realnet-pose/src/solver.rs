@@ -20,12 +20,12 @@ const TOLERANCE: f64 = 1e-9;
 /// Finds poses, with scratch that is kept from one problem to the next.
 #[derive(Clone, Debug)]
 pub struct PnpSolver {
-    options: RansacOptions,
+    pub(crate) options: RansacOptions,
     soa: Soa,
     rest: Soa,
     /// Places of the points searched.
     indices: Vec<usize>,
-    mask: Vec<bool>,
+    pub(crate) mask: Vec<bool>,
     /// Table of places, by hash of the point.
     seen: Vec<usize>,
     rays: Vec<[f64; 2]>,
