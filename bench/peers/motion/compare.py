@@ -184,9 +184,11 @@ def compare(row, answer, problem, matrix, y_up):
         figures["refused"] = answer["refused"]
     else:
         figures["inliers"] = answer["inliers"]
+        figures["pose"] = answer["pose"]
         figures["std"] = [np.degrees(answer["rotation_std"]), 100 * answer["translation_std"]]
     if theirs is not None:
         theirs, figures["opencv_inliers"] = theirs
+        figures["opencv_pose"] = theirs.ravel().tolist()
     if truth is not None:
         for name, pose in (("to_truth", ours), ("opencv_to_truth", theirs)):
             if pose is not None:
