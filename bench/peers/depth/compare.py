@@ -11,8 +11,13 @@ least median. The forms of the network:
 * `half`: likewise at every second pixel, what RealNet runs by default;
 * `frame`: the whole of RealNet's DepthNet, from a 1280x720 frame.
 
+With `--fast-path 256x256 640x360` the geometric path between two depth maps runs
+in the same blocks, on one thread, on drawn frames of those sizes; the ratios of the
+fastest side of each form to it are printed.
+
     pip install -r bench/peers/depth/requirements.txt
     cargo build --release -p realnet-nn --example depth_peer
+    cargo build --release -p realnet-range --example motion_peer
     python bench/peers/depth/compare.py --model vnl.safetensors
 """
 
@@ -65,6 +70,7 @@ def main():
     parser.add_argument("--blocks", type=int, default=15)
     parser.add_argument("--count", type=int, default=5, help="runs a block")
     parser.add_argument("--forms", nargs="+", default=["depth", "full", "half", "frame"])
+    parser.add_argument("--fast-path", nargs="*", default=[], metavar="WxH")
     parser.add_argument("--ort-dylib", help="default: the one in the onnxruntime wheel")
     parser.add_argument("--binary", default=TARGET / "release/examples/depth_peer")
     args = parser.parse_args()
@@ -83,6 +89,9 @@ def main():
                 graph = str(Path(scratch) / f"{form}.onnx")
                 subprocess.run([*ours, "--write", graph], check=True)
                 sides.append(Side(f"openvino {form}", [*python, *threads, "--graph", graph]))
+        motion = str(TARGET / "release/examples/motion_peer")
+        for size in args.fast_path:
+            sides.append(Side(f"fast path {size}", [motion, "--size", size]))
         for side in sides:
             side.run(args.count)  # warm
         for _ in range(args.blocks):
@@ -110,6 +119,12 @@ def main():
         form: min((name for name in medians if name.endswith(f" {form}")), key=medians.get)
         for form in args.forms
     }
+    if args.fast_path:
+        report["times_faster"] = {
+            f"{size}, {form}": round(medians[report["fastest"][form]] / medians[f"fast path {size}"], 1)
+            for size in args.fast_path
+            for form in args.forms
+        }
     print(json.dumps(report, indent=1))
 
 

@@ -11,10 +11,11 @@ const LEAST: usize = 4;
 const SHARE: f64 = 0.6;
 /// Pairs drawn.
 const SAMPLES: usize = 200;
-/// Steps of the refinement, and the step in metres that ends it, as a share of the
-/// distance.
-const STEPS: usize = 10;
-const REST: f64 = 1e-9;
+/// Steps of the refinement, after how many of them points and scale of the loss
+/// stay as they are, and the step that ends it, as a share of the distance.
+const STEPS: usize = 30;
+const SETTLED: usize = 5;
+const REST: f64 = 1e-7;
 
 /// What is seen of the points under a rotation.
 struct Turned<'a> {
@@ -109,17 +110,20 @@ impl PnpSolver {
         // Gauss-Newton with the Huber loss on the points within the threshold.
         let (mut steps, mut converged) = (0, false);
         let mut normal = Matrix3::zeros();
+        let mut huber = f64::INFINITY;
         while steps < STEPS && !converged {
             steps += 1;
+            if steps <= SETTLED {
+                huber = options.huber_sigmas * self.spread(&turned, &translation, limit);
+                for (index, inlier) in self.mask.iter_mut().enumerate() {
+                    *inlier = squared(index, &translation) < limit;
+                }
+            }
             normal = Matrix3::zeros();
             let mut gradient = Vector3::zeros();
-            let huber = options.huber_sigmas * self.spread(&turned, &translation, limit);
-            for index in 0..problem.len() {
-                let square = squared(index, &translation);
-                let (Some([x, y]), true) = (turned.residual(index, &translation), square < limit)
-                else {
-                    continue;
-                };
+            for (index, _) in self.mask.iter().enumerate().filter(|(_, inlier)| **inlier) {
+                let Some([x, y]) = turned.residual(index, &translation) else { continue };
+                let square = x * x + y * y;
                 let weight = (huber / square.sqrt()).min(1.0);
                 for (row, value) in turned.rows(index, &translation).into_iter().zip([x, y]) {
                     normal += row * row.transpose() * weight;
@@ -129,7 +133,7 @@ impl PnpSolver {
             let Some(factor) = normal.cholesky() else { return Err(few(0)) };
             let step = factor.solve(&gradient);
             translation -= step;
-            converged = step.norm() <= REST * (1.0 + translation.norm());
+            converged = steps > SETTLED && step.norm() <= REST * (1.0 + translation.norm());
         }
         if !converged {
             return Err(PnpError::NotConverged { iterations: steps });

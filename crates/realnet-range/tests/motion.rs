@@ -6,6 +6,7 @@ mod scene;
 use proptest::prelude::*;
 use realnet_core::nalgebra::{Point3, Vector3, Vector6};
 use realnet_core::{BoundingBox, DepthMap, Frame, Pose, Stamp, body_from_optical};
+use realnet_pose::Origin;
 use realnet_range::cues::ForegroundGate;
 use realnet_range::motion::{MotionError, MotionFailure, MotionOptions, MotionTracker, Start};
 use scene::{Scene, camera};
@@ -240,6 +241,36 @@ fn a_fast_pan_is_searched_for() {
     assert_eq!(found.start, Start::Search);
     let error = found.now_from_then() * run.motions(0.0, 1.0).0.inverse();
     assert!(error.rotation_angle().to_degrees() < 0.2, "{error:?}");
+}
+
+/// Twenty centimetres at two metres: no rotation of its own, but a translation.
+#[test]
+fn a_small_target_is_followed_under_the_rotation_of_the_ground() {
+    let run = Run { scene: Scene::default().with_target(0.1), ..Run::drive() };
+    let (frame, depth) = run.at(0.0);
+    let mut tracker = tracker();
+    tracker.push(&frame).unwrap();
+    tracker.keep();
+    let summary = tracker.set_depth(&depth, Some(&run.gate(0.0))).unwrap();
+    assert!((6..16).contains(&summary.target), "{summary:?}");
+    let mut translations = 0;
+    for step in 1..=9 {
+        let t = f64::from(step) / 30.0;
+        tracker.push(&run.at(t).0).unwrap();
+        let motion = tracker.estimate();
+        let found = motion.target.as_ref().unwrap().as_ref().unwrap();
+        translations += usize::from(found.estimate.origin == Origin::Translation);
+        let middle = found.estimate.center;
+        let then = found.now_from_then().inverse() * middle;
+        let truth = run.motions(0.0, t).1 * then;
+        assert!((truth - middle).norm() < 0.06, "{step}: {truth} {middle}");
+        let velocity = motion.target_velocity().unwrap();
+        for axis in 0..3 {
+            let error = (velocity.linear() - Vector3::new(0.3, 0.0, 0.3))[axis].abs();
+            assert!(error < 5.0 * velocity.std()[axis], "{step} {axis}: {error} {velocity:?}");
+        }
+    }
+    assert!(translations >= 5, "{translations}");
 }
 
 /// Without the target's motion its pixels, and those behind, are unknown.

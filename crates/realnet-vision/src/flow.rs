@@ -16,6 +16,9 @@ pub struct Window {
 }
 
 impl Window {
+    /// 11 x 11, for small bodies: less of what is around them.
+    pub const SMALL: Self = Self { width: 11, height: 11 };
+
     /// The smallest and the greatest side of a window.
     pub const SIDES: (u32, u32) = (3, 255);
 
@@ -184,7 +187,7 @@ impl LucasKanade {
     /// # Errors
     /// [`FlowError::NoPicture`] when a pyramid is empty, [`FlowError::Size`] when
     /// they are of different sizes, [`FlowError::PyramidWindow`] when one was made
-    /// for another window, [`FlowError::InitialLength`] when there are not as many
+    /// for a smaller window, [`FlowError::InitialLength`] when there are not as many
     /// initial positions as points.
     pub fn track(
         &mut self,
@@ -200,8 +203,8 @@ impl LucasKanade {
             return Err(FlowError::Size { from: from_size, to: to_size });
         }
         for pyramid in [from, to] {
-            if pyramid.window() != self.options.window {
-                let (expected, found) = (self.options.window.size(), pyramid.window().size());
+            let (expected, found) = (self.options.window.size(), pyramid.window().size());
+            if found.0 < expected.0 || found.1 < expected.1 {
                 return Err(FlowError::PyramidWindow { expected, found });
             }
         }

@@ -114,9 +114,9 @@ pub enum FlowError {
         /// Width and height of the second.
         to: (u32, u32),
     },
-    /// A pyramid's borders are for another window.
+    /// A pyramid's borders are for a smaller window.
     #[error(
-        "a pyramid for windows of {}x{} pixels where the window is {}x{}",
+        "a pyramid for windows of up to {}x{} pixels where the window is {}x{}",
         found.0, found.1, expected.0, expected.1
     )]
     PyramidWindow {

@@ -2,14 +2,15 @@
 
 use crate::motion::shift::ShiftSearch;
 use crate::motion::{BodyMotion, MotionError, MotionFailure, MotionOptions, Start};
-use realnet_core::nalgebra::{Point3, Vector6};
+use realnet_core::nalgebra::{Point3, UnitQuaternion, Vector6};
 use realnet_core::{CameraModel, Pose, Stamp};
 use realnet_pose::{Correspondences, PnpError, PnpSolver};
 use realnet_vision::{FlowError, LucasKanade, Pyramid, Track, TrackStatus};
 
 /// Corners below which no motion is looked for: those of the smallest problem
-/// that the solver accepts.
+/// that the solver accepts, without and with a rotation to go by.
 const LEAST_CORNERS: usize = 6;
+const LEAST_HELD: usize = 4;
 
 /// One rigid body.
 #[derive(Clone, Debug)]
@@ -26,6 +27,7 @@ pub(super) struct Body {
     places: Vec<usize>,
     inliers: Vec<bool>,
     solver: PnpSolver,
+    held: Option<Held>,
     past: Past,
 }
 
@@ -43,6 +45,14 @@ pub(super) struct Pictures<'a> {
     pub(super) then: &'a Pyramid,
     pub(super) now: &'a Pyramid,
     pub(super) camera: &'a CameraModel,
+}
+
+/// A rotation to go by where the corners give none.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Held {
+    pub(super) rotation: UnitQuaternion<f64>,
+    /// Standard deviation about any axis, radians.
+    pub(super) std: f64,
 }
 
 impl Body {
@@ -63,6 +73,7 @@ impl Body {
             places: Vec::with_capacity(capacity),
             inliers: Vec::with_capacity(capacity),
             solver: PnpSolver::with_capacity(options.ransac, capacity)?,
+            held: None,
             past: Past {
                 now_from_then: Pose::identity(),
                 stamp: Stamp::ZERO,
@@ -122,18 +133,22 @@ impl Body {
         self.past = Past { now_from_then: Pose::identity(), stamp, rate: Vector6::zeros() };
     }
 
-    /// The motion from then to now.
+    /// The motion from then to now: a rigid one, or where there is none and a
+    /// rotation is `held`, a translation under that rotation.
     pub(super) fn estimate(
         &mut self,
         pictures: &Pictures<'_>,
         flow: &mut LucasKanade,
         search: &mut ShiftSearch,
+        held: Option<Held>,
     ) -> Result<BodyMotion, MotionFailure> {
         self.inliers.clear();
-        if self.len() < LEAST_CORNERS {
+        self.held = held;
+        let needed = if held.is_some() { LEAST_HELD } else { LEAST_CORNERS };
+        if self.len() < needed {
             self.tracks.clear();
             let (body, found) = (self.name, self.len());
-            return Err(MotionFailure::Corners { body, found, needed: LEAST_CORNERS });
+            return Err(MotionFailure::Corners { body, found, needed });
         }
         let seconds = pictures.now.stamp().seconds_since(self.past.stamp);
         let last = self.past.now_from_then;
@@ -218,14 +233,23 @@ impl Body {
             }
         }
         let (tracked, corners) = (self.found.len(), self.len());
-        if tracked < LEAST_CORNERS {
+        if tracked < if self.held.is_some() { LEAST_HELD } else { LEAST_CORNERS } {
             let count = |status| self.tracks.iter().filter(|t| t.status == status).count();
             let (outside, flat) = (count(TrackStatus::Outside), count(TrackStatus::Flat));
             let lost = corners - tracked - outside - flat;
             return Err(MotionFailure::Lost { body, tracked, corners, outside, flat, lost });
         }
-        let estimate = Correspondences::new(&self.found, &self.rays, [camera.fx(), camera.fy()])
-            .and_then(|problem| self.solver.solve_near(&problem, near, self.seed));
+        let focal = [camera.fx(), camera.fy()];
+        let estimate = Correspondences::new(&self.found, &self.rays, focal).and_then(|problem| {
+            let rigid = self.solver.solve_near(&problem, near, self.seed);
+            match (rigid, self.held) {
+                (Err(reason), Some(Held { rotation, std })) => self
+                    .solver
+                    .solve_translation(&problem, &rotation, std, self.seed)
+                    .map_err(|_| reason),
+                (rigid, _) => rigid,
+            }
+        });
         let estimate =
             estimate.map_err(|reason: PnpError| MotionFailure::Pose { body, tracked, reason })?;
         self.inliers.resize(corners, false);

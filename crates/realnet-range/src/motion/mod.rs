@@ -10,7 +10,8 @@
 //!    where the motion so far predicts them; if that fails from where they were
 //!    last, and if that fails too from where a search of a small picture finds them.
 //! 3. Each of the two sets gives **a rigid motion** by PnP: that of the background
-//!    is the camera's own, reversed; both together give the target's.
+//!    is the camera's own, reversed; both together give the target's. A target too
+//!    small for a rotation of its own gets a translation.
 //! 4. The depth map, **warped** by the two motions, is the depth now.
 //!
 //! A motion that cannot be stood by is a [`MotionFailure`] that says why, and what

@@ -1,14 +1,14 @@
 //! The fast path from frame to frame.
 
 use crate::cues::ForegroundGate;
-use crate::motion::body::{Body, Pictures};
+use crate::motion::body::{Body, Held, Pictures};
 use crate::motion::key::KeyFinder;
 use crate::motion::shift::ShiftSearch;
 use crate::motion::{KeySummary, Motion, MotionError, MotionFailure, MotionOptions};
 use realnet_core::nalgebra::Point3;
 use realnet_core::{CameraModel, DepthMap, Frame, Pose, Stamp};
 use realnet_pose::{DepthWarper, WarpRegion};
-use realnet_vision::{LucasKanade, Pyramid, Track};
+use realnet_vision::{FlowError, LucasKanade, Pyramid, Track};
 
 /// Follows the corners of a depth map's frame into the present frame; see the
 /// [module](super).
@@ -18,6 +18,7 @@ pub struct MotionTracker {
     camera: CameraModel,
     finder: KeyFinder,
     flow: LucasKanade,
+    target_flow: LucasKanade,
     search: ShiftSearch,
     then: Pyramid,
     kept: Pyramid,
@@ -59,11 +60,19 @@ impl MotionTracker {
             let (name, value) = ("max_depth_step", f64::from(step));
             return Err(MotionError::Option { name, value, rule: "greater than 0" });
         }
-        let value = options.scale_std;
-        if !(value >= 0.0 && value.is_finite()) {
-            return Err(MotionError::Option { name: "scale_std", value, rule: "at least 0" });
+        for (name, value) in
+            [("scale_std", options.scale_std), ("target_turn_std", options.target_turn_std)]
+        {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(MotionError::Option { name, value, rule: "at least 0" });
+            }
         }
         let flow = LucasKanade::new(options.flow)?;
+        let target_flow = LucasKanade::new(options.target_flow)?;
+        let (own, most) = (options.target_flow.window.size(), options.flow.window.size());
+        if own.0 > most.0 || own.1 > most.1 {
+            return Err(FlowError::PyramidWindow { expected: own, found: most }.into());
+        }
         // Corners of the box that lie behind the target are the background's.
         let capacity = options.background.max_corners.saturating_add(options.target.max_corners);
         let capacity = capacity.min(1 << 16);
@@ -74,6 +83,7 @@ impl MotionTracker {
             kept: flow.pyramid(),
             now: flow.pyramid(),
             flow,
+            target_flow,
             started: false,
             waiting: None,
             background: Body::new("background", &options, capacity)?,
@@ -193,14 +203,25 @@ impl MotionTracker {
 
     /// The motions from the depth map's frame to the present one.
     pub fn estimate(&mut self) -> &Motion {
-        let Self { then, now, camera, flow, search, .. } = self;
+        let Self { then, now, camera, flow, target_flow, search, .. } = self;
         let pictures = Pictures { then, now, camera };
         let (background, target) = match &self.depth {
             None => (Err(MotionFailure::NoDepth), None),
-            Some(depth) => (
-                self.background.estimate(&pictures, flow, search),
-                depth.gate.map(|_| self.target.estimate(&pictures, flow, search)),
-            ),
+            Some(depth) => {
+                let background = self.background.estimate(&pictures, flow, search, None);
+                // A target that does not turn over the ground turns as the ground does.
+                let held = background.as_ref().ok().map(|background| {
+                    let seconds = pictures.now.stamp().seconds_since(pictures.then.stamp());
+                    let own = self.options.target_turn_std * seconds;
+                    Held {
+                        rotation: background.now_from_then().rotation(),
+                        std: own.hypot(background.estimate.rotation_std()),
+                    }
+                });
+                let target =
+                    depth.gate.map(|_| self.target.estimate(&pictures, target_flow, search, held));
+                (background, target)
+            }
         };
         let scale_std = self.options.scale_std;
         let (then, now) = (self.then.stamp(), self.now.stamp());

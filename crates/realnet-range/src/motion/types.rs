@@ -3,7 +3,7 @@
 use realnet_core::nalgebra::{Matrix6, Vector3, Vector6};
 use realnet_core::{Pose, Stamp};
 use realnet_pose::{Estimate, PnpError, RansacOptions, WarpError};
-use realnet_vision::{CornerOptions, FlowError, FlowOptions};
+use realnet_vision::{CornerOptions, FlowError, FlowOptions, Window};
 use thiserror::Error;
 
 /// How [`MotionTracker`](super::MotionTracker) works.
@@ -15,8 +15,12 @@ pub struct MotionOptions {
     /// Corners of the target, looked for in its box alone. Default: 50, at least 5
     /// pixels apart.
     pub target: CornerOptions,
-    /// How corners are looked for in the present frame.
+    /// How the background's corners are looked for in the present frame.
     pub flow: FlowOptions,
+    /// How the target's are. Default: with a window of 11 x 11 pixels, as what it
+    /// holds of the background pulls at small targets. The window must not be
+    /// larger than that of `flow`.
+    pub target_flow: FlowOptions,
     /// How motions are found, and which are accepted. Default: inliers within 3
     /// pixels.
     pub ransac: RansacOptions,
@@ -26,6 +30,10 @@ pub struct MotionOptions {
     /// Standard deviation of the depth map's scale, as a share: it is common to
     /// the whole map and so to all lengths derived from it. Default 0.
     pub scale_std: f64,
+    /// Standard deviation of the speed at which a target turns over the ground,
+    /// rad/s: how far the rotation of the ground is wrong for a target whose corners
+    /// do not give a rotation of its own. Default 0.5.
+    pub target_turn_std: f64,
     /// Seed of the samples drawn.
     pub seed: u64,
 }
@@ -48,9 +56,11 @@ impl Default for MotionOptions {
             background,
             target,
             flow: FlowOptions::default(),
+            target_flow: FlowOptions { window: Window::SMALL, ..FlowOptions::default() },
             ransac: RansacOptions { threshold_px: 3.0, ..RansacOptions::default() },
             max_depth_step: 0.1,
             scale_std: 0.0,
+            target_turn_std: 0.5,
             seed: 0,
         }
     }
@@ -189,6 +199,11 @@ pub enum Start {
 }
 
 /// How a body moved since the depth map.
+///
+/// A target too small, too flat or with too few corners for a rotation of its own
+/// gets a translation under the rotation of the ground; its
+/// [`Estimate::origin`] is then [`Origin::Translation`](realnet_pose::Origin), and
+/// its covariance holds [`MotionOptions::target_turn_std`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct BodyMotion {
     /// The motion: [`Estimate::camera_from_world`] is `now_from_then`, which takes

@@ -1,6 +1,8 @@
 //! A textured wall and a textured square before it, drawn by casting rays.
 #![allow(dead_code, reason = "not every test uses all of it")]
 
+pub mod drive;
+
 use realnet_core::nalgebra::{Point3, Vector3};
 use realnet_core::{
     BoundingBox, CameraModel, DepthMap, Distortion, Frame, Intrinsics, Pose, Stamp,
@@ -34,6 +36,11 @@ impl Default for Scene {
 impl Scene {
     pub fn new(camera: CameraModel) -> Self {
         Self { camera, half: 0.3 }
+    }
+
+    /// With a square of another size, half its side in metres.
+    pub fn with_target(self, half: f64) -> Self {
+        Self { half, ..self }
     }
 
     /// Picture and depth.
