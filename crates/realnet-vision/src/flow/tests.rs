@@ -195,7 +195,32 @@ fn wrong_use_is_refused() {
     other.build(&frame(30, 41, texture));
     let mut method = LucasKanade::new(good).unwrap();
     let error = method.track(&other, tracker.present(), &[], None, &mut tracks).unwrap_err();
-    assert_eq!(error.to_string(), "a pyramid for windows of 9x9 pixels where the window is 21x21");
+    assert_eq!(
+        error.to_string(),
+        "a pyramid for windows of up to 9x9 pixels where the window is 21x21"
+    );
+}
+
+/// A pyramid for larger windows serves smaller ones, with the same answers.
+#[test]
+fn pyramids_serve_smaller_windows() {
+    let frames = [frame(120, 100, texture), frame(120, 100, |x, y| texture(x - 2.3, y + 1.6))];
+    let small = FlowOptions { window: Window::SMALL, max_level: 2, ..FlowOptions::default() };
+    let mut method = LucasKanade::new(small).unwrap();
+    let mut tracks = |window: Window| {
+        let [mut from, mut to] = [Pyramid::new(2, window), Pyramid::new(2, window)];
+        from.build(&frames[0]);
+        to.build(&frames[1]);
+        let mut tracks = Vec::new();
+        // Up to the edge, where windows reach into the border.
+        method.track(&from, &to, &grid(120, 100, 1), None, &mut tracks).unwrap();
+        tracks
+    };
+    let (own, larger) = (tracks(Window::SMALL), tracks(Window::default()));
+    assert!(own.iter().filter(|track| track.is_tracked()).count() > 20);
+    for (own, larger) in own.iter().zip(&larger) {
+        assert_eq!((own.point, own.status), (larger.point, larger.status));
+    }
 }
 
 mod properties {

@@ -4,22 +4,23 @@ mod measure;
 mod page;
 
 use crate::cli::{
-    failure::{OrBadInput, Outcome, bad_input, say},
+    failure::{OrBadInput, Outcome, bad_input, report, say},
     interrupt,
     model_args::parse_positive,
     output::Output,
     progress,
 };
-use anyhow::Result;
+use anyhow::{Error, Result};
 use clap::Args;
 use measure::{Figures, Measurement};
-use page::Page;
+use page::{INDEX, Page};
 use realnet::{
     CameraCalibration, CameraModel, Distortion, Intrinsics,
     datasets::{
         TargetBoxes,
-        rgbd::{RgbdOptions, RgbdSequence},
+        rgbd::{RgbdError, RgbdOptions, RgbdSequence},
     },
+    motion::MotionError,
 };
 use std::path::{Path, PathBuf};
 
@@ -106,52 +107,82 @@ pub(crate) fn run(args: &MotionArgs) -> Result<Outcome> {
         let data = args.data.display();
         return Err(bad_input(format!("{data}: one frame has no motion, at least 2 are needed")));
     }
+    if frames.iter().all(|frame| frame.depth_path.is_none()) {
+        return Err(bad_input(format!("{}: no frame has a depth map", args.data.display())));
+    }
+    if let (Some(boxes), Some(path)) = (&boxes, &args.boxes)
+        && !boxes.numbers().any(|number| frames.iter().any(|frame| frame.number == number))
+    {
+        say(format!("{}: no box for any frame", path.display()));
+    }
     let first = frames[0].color().or_bad_input()?;
     let camera = args.camera.camera(&sequence, first.width(), first.height())?;
-    let page = args.report.as_deref();
-    let mut page = page.map(|path| Page::create(path, frames.len() as u64)).transpose()?;
+    let mut page = match &args.report {
+        Some(directory) => {
+            Some(Page::create(directory, frames.len() as u64, args.boxes.as_deref())?)
+        }
+        None => None,
+    };
 
     let mut measurement = Measurement::new(&camera, args.every, args.late, args.seed)?;
     let bar = progress::bar(Some(frames.len() as u64), "eval motion");
     let mut outcome = Outcome::Done;
-    for frame in frames {
+    for (index, frame) in (0..).zip(frames) {
         if interrupt::interrupted() {
             outcome = Outcome::Interrupted;
             break;
         }
-        let (color, depth) = frame.read().or_bad_input()?;
-        let target =
-            boxes.as_ref().and_then(|b| b.get(frame.number, color.width(), color.height()));
-        measurement.frame(frame, color, depth, target, |view| match &mut page {
-            Some(page) => page.offer(view),
-            None => Ok(()),
-        })?;
+        let done = frame.read().map_err(Error::new).and_then(|(color, depth)| {
+            let target =
+                boxes.as_ref().and_then(|b| b.get(frame.number, color.width(), color.height()));
+            measurement.frame(frame, color, depth, target, |view| match &mut page {
+                Some(page) => page.offer(index, view),
+                None => Ok(()),
+            })
+        });
+        if let Err(error) = done {
+            // A frame that is bad costs only itself.
+            let motion = error.downcast_ref();
+            let unfit =
+                matches!(motion, Some(MotionError::Size { .. } | MotionError::Order { .. }));
+            if !(unfit || error.is::<RgbdError>()) {
+                return Err(error);
+            }
+            bar.suspend(|| report(&error));
+            outcome = Outcome::BadInputs;
+            measurement.skip()?;
+        }
         bar.inc(1);
     }
     bar.finish_and_clear();
     let figures = measurement.figures();
-    if let Some(page) = &page {
+    let written = page.map_or(Ok(()), |page| {
         let title = args.data.display().to_string();
-        page.finish(&title, &command_line(), &figures, &table(&figures), measurement.frames())?;
-    }
+        page.finish(&title, &command_line(), &figures, &table(&figures), measurement.frames())
+    });
     let mut output = Output::stdout();
-    if args.json {
-        output.json(&figures)?;
-    } else {
-        output.line(table(&figures))?;
+    let told = if args.json { output.json(&figures) } else { output.line(table(&figures)) };
+    // Neither a full disk nor a reader that went away costs the other its figures.
+    written?;
+    if let Some(directory) = &args.report {
+        say(format!("the report is {}", directory.join(INDEX).display()));
     }
-    if let Some(report) = &args.report {
-        say(format!("the report is {}", report.join("index.html").display()));
-    }
-    Ok(outcome)
+    told.map(|()| outcome)
 }
 
 /// How the program was called, for the report.
 fn command_line() -> String {
-    std::iter::once("realnet".to_owned())
-        .chain(std::env::args().skip(1))
-        .collect::<Vec<_>>()
-        .join(" ")
+    let mut line = "realnet".to_owned();
+    for word in std::env::args_os().skip(1) {
+        let word = word.to_string_lossy();
+        let plain = |c: char| c.is_alphanumeric() || "-_=./:,+@%".contains(c);
+        if !word.is_empty() && word.chars().all(plain) {
+            line = format!("{line} {word}");
+        } else {
+            line = format!("{line} '{}'", word.replace('\'', r"'\''"));
+        }
+    }
+    line
 }
 
 impl CameraArgs {
@@ -216,7 +247,7 @@ fn table(figures: &Figures) -> String {
             "{} frames, depth given on {}, produced for {} ({} failed)",
             figures.frames, figures.given, figures.produced, figures.failed
         ),
-        format!("                  produced   last map held"),
+        "                  produced   last map held".to_owned(),
     ];
     for (name, produced, hold) in [
         ("abs_rel", figures.abs_rel, figures.abs_rel_hold),

@@ -206,7 +206,19 @@ impl Measurement {
         &self.frames
     }
 
+    /// The next frame cannot be used. Motion to and from it is not asked for.
+    pub(super) fn skip(&mut self) -> Result<()> {
+        self.last = (None, None);
+        self.arrive()?;
+        self.index += 1;
+        Ok(())
+    }
+
     /// Takes the next frame with its true depth. `see` is shown what was produced.
+    ///
+    /// # Errors
+    /// [`MotionError::Size`] and [`MotionError::Order`] say that the frame cannot be
+    /// used; it is then to be [skipped](Self::skip).
     pub(super) fn frame(
         &mut self,
         frame: &RgbdFrame,
@@ -229,9 +241,13 @@ impl Measurement {
                 figures.tracked = background.tracked;
                 figures.inliers = background.estimate.inliers;
             }
-            if let Some(Err(failure)) = &motion.target {
-                figures.target_failure = Some(failure.to_string());
-            }
+            let target = self.key.as_ref().and_then(|key| key.target.as_ref());
+            figures.target_failure = match (&motion.target, target.map(|target| &target.found)) {
+                (Some(Err(failure)), _) => Some(failure.to_string()),
+                // Without a range it was taken for background.
+                (None, Some(Err(reason))) => Some(reason.clone()),
+                _ => None,
+            };
             let motion_ms = milliseconds(start);
             self.relative_pose(frame.world_from_camera, now_from_key, &mut figures);
             let wanted = self.late > 0 || !given;
@@ -272,6 +288,10 @@ impl Measurement {
             (Some(last), Some(kept)) => Some(last * kept.inverse()),
             _ => None,
         };
+        if self.key.is_none() && self.late > 0 {
+            // No motion up to here was asked for, so none is missing.
+            self.last.0 = None;
+        }
         self.key_index = self.index - self.late;
         self.given += 1;
         self.key = Some(key);

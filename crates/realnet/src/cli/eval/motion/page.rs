@@ -4,7 +4,7 @@
 mod chart;
 
 use super::measure::{Figures, FrameFigures, KeyTarget, View};
-use crate::cli::detect::make_directory;
+use crate::cli::{detect::make_directory, failure::keep_input};
 use anyhow::Result;
 use chart::{Chart, density};
 use realnet::{
@@ -20,6 +20,11 @@ const BACKGROUND: [u8; 3] = [60, 200, 255];
 const WRONG: [u8; 3] = [255, 60, 120];
 const LOST: [u8; 3] = [160, 160, 160];
 
+/// Names of the files.
+const METRICS: &str = "metrics.json";
+const FRAMES: &str = "frames.csv";
+pub(super) const INDEX: &str = "index.html";
+
 /// Pictures shown besides that of the largest error.
 const SHOWN: u64 = 3;
 /// The relative error that is drawn white.
@@ -31,9 +36,8 @@ pub(super) struct Page {
     annotator: Annotator,
     views: Vec<Shown>,
     worst: Option<Shown>,
-    /// Frames offered, and how many there will be.
-    offered: u64,
-    expected: u64,
+    /// Frames of the run.
+    length: u64,
 }
 
 /// One frame of the report.
@@ -47,26 +51,32 @@ struct Shown {
 }
 
 impl Page {
-    /// A report into `directory`, of about `expected` frames.
-    pub(super) fn create(directory: &Path, expected: u64) -> Result<Self> {
+    /// A report into `directory` of a run over `length` frames. It does not replace
+    /// the file `input`.
+    pub(super) fn create(directory: &Path, length: u64, input: Option<&Path>) -> Result<Self> {
         make_directory(directory)?;
+        if let Some(input) = input {
+            for name in [METRICS, FRAMES, INDEX] {
+                keep_input(&directory.join(name), input)?;
+            }
+        }
         Ok(Self {
             directory: directory.to_owned(),
             annotator: Annotator::new(Vec::new())?,
             views: Vec::new(),
             worst: None,
-            offered: 0,
-            expected,
+            length,
         })
     }
 
-    /// A frame that may be shown.
-    pub(super) fn offer(&mut self, view: &View<'_>) -> Result<()> {
-        // In the middle of equal parts of the run, or as soon after as a map is
-        // old enough to show anything.
-        let due = (2 * self.views.len() as u64 + 1) * self.expected / (2 * SHOWN);
-        let old = view.figures.since_depth > 2 || self.offered > due + 8;
-        if (self.views.len() as u64) < SHOWN && self.offered >= due && old {
+    /// A frame, the `index`-th of the run, that may be shown.
+    pub(super) fn offer(&mut self, index: u64, view: &View<'_>) -> Result<()> {
+        // In the middle of equal parts of the run, or a little later, when the map
+        // is old enough to show anything.
+        let due = (2 * self.views.len() as u64 + 1) * self.length / (2 * SHOWN);
+        let patience = (self.length / (4 * SHOWN)).min(8);
+        let old = view.figures.since_depth > 2 || index >= due + patience;
+        if (self.views.len() as u64) < SHOWN && index >= due && old {
             self.views.push(self.draw(view)?);
         }
         let error = |figures: &FrameFigures| figures.abs_rel.unwrap_or(0.0);
@@ -74,7 +84,6 @@ impl Page {
         if error(view.figures) > most {
             self.worst = Some(self.draw(view)?);
         }
-        self.offered += 1;
         Ok(())
     }
 
@@ -135,8 +144,8 @@ impl Page {
         frames: &[FrameFigures],
     ) -> Result<()> {
         let write = |name: &str, bytes: &[u8]| atomic::write(&self.directory.join(name), bytes);
-        write("metrics.json", &serde_json::to_vec_pretty(figures)?)?;
-        write("frames.csv", csv(frames)?.as_bytes())?;
+        write(METRICS, &serde_json::to_vec_pretty(figures)?)?;
+        write(FRAMES, csv(frames)?.as_bytes())?;
         let mut html = String::new();
         html.push_str(HEAD);
         writeln!(html, "<h1>Motion between depth maps</h1><p>{}</p>", escape(title))?;
@@ -147,7 +156,8 @@ impl Page {
             self.view(&mut html, index + 1, shown, worst)?;
         }
         html.push_str("</body></html>\n");
-        write("index.html", html.as_bytes())?;
+        // Last: what it shows is there.
+        write(INDEX, html.as_bytes())?;
         Ok(())
     }
 

@@ -14,9 +14,16 @@ const BOTTOM: f64 = 34.0;
 pub(super) struct Chart {
     title: &'static str,
     axis: &'static str,
-    lines: Vec<(&'static str, &'static str, Vec<(f64, Option<f64>)>)>,
+    lines: Vec<Line>,
     marks: Option<(&'static str, &'static str, Vec<f64>)>,
     top: Option<f64>,
+}
+
+/// A line of a chart.
+struct Line {
+    name: &'static str,
+    color: &'static str,
+    points: Vec<(f64, Option<f64>)>,
 }
 
 impl Chart {
@@ -31,7 +38,7 @@ impl Chart {
         color: &'static str,
         points: Vec<(f64, Option<f64>)>,
     ) -> Self {
-        self.lines.push((name, color, points));
+        self.lines.push(Line { name, color, points });
         self
     }
 
@@ -53,7 +60,7 @@ impl Chart {
     }
 
     pub(super) fn svg(&self) -> String {
-        let points = || self.lines.iter().flat_map(|line| &line.2);
+        let points = || self.lines.iter().flat_map(|line| &line.points);
         let xs = points().map(|p| p.0);
         let (low, high) =
             xs.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
@@ -62,7 +69,7 @@ impl Chart {
         let plot = Plot { low, high: if high > low { high } else { low + 1.0 }, top };
         let mut svg = plot.frame(self.title, self.axis);
         let mut legend = SIZE.0 - RIGHT;
-        for (name, color, points) in self.lines.iter().rev() {
+        for Line { name, color, points } in self.lines.iter().rev() {
             let mut path = String::new();
             let mut pen = 'M';
             for (x, y) in points {
@@ -192,8 +199,7 @@ impl Plot {
              <text x=\"{LEFT}\" y=\"18\" font-size=\"15\">{title}</text>\n"
         );
         let up = step(self.top);
-        let mut value = 0.0;
-        while value <= self.top * 1.0001 {
+        for value in ticks(0.0, self.top * 1.0001, up) {
             let y = self.y(value);
             let _ = writeln!(
                 svg,
@@ -204,11 +210,9 @@ impl Plot {
                 y + 4.0,
                 number(value, up)
             );
-            value += up;
         }
         let across = step(self.high - self.low);
-        let mut value = (self.low / across).ceil() * across;
-        while value <= self.high {
+        for value in ticks(self.low, self.high, across) {
             let x = self.x(value);
             let _ = writeln!(
                 svg,
@@ -216,7 +220,6 @@ impl Plot {
                 height - BOTTOM + 16.0,
                 number(value, across)
             );
-            value += across;
         }
         let _ = writeln!(
             svg,
@@ -235,8 +238,38 @@ fn step(range: f64) -> f64 {
     steps.into_iter().find(|step| range / step >= 4.0).unwrap_or(decade)
 }
 
+/// The multiples of a step from `low` to `high`.
+fn ticks(low: f64, high: f64, step: f64) -> impl Iterator<Item = f64> {
+    let first = (low / step).ceil();
+    // Counted: adding a step to a large number may not change it.
+    (0..20).map(move |i| (first + f64::from(i)) * step).take_while(move |value| *value <= high)
+}
+
 /// A tick's value with the digits that its step needs.
 fn number(value: f64, step: f64) -> String {
     let digits = (-step.log10().floor()).max(0.0) as usize;
     format!("{value:.digits$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_few() {
+        let of = |low, high| ticks(low, high, step(high - low)).collect::<Vec<_>>();
+        assert_eq!(of(0.0, 1.0), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
+        assert_eq!(of(103.0, 149.0), [110.0, 120.0, 130.0, 140.0]);
+        assert_eq!(of(-0.5, 9.5).len(), 5);
+        assert!(of(1e19, 1e19).len() <= 20, "frame numbers may be large");
+    }
+
+    #[test]
+    fn a_line_is_broken_where_a_value_is_missing() {
+        let points = vec![(1.0, Some(2.0)), (2.0, None), (3.0, Some(1.0)), (4.0, Some(1.5))];
+        let svg = Chart::new("title", "frame").line("name", "red", points).svg();
+        let path = svg.split("<path d=\"").find(|p| p.contains("stroke=\"red\"")).unwrap();
+        assert_eq!(path.split('"').next().unwrap().matches(['M', 'L']).collect::<String>(), "MML");
+        assert!(!Chart::new("title", "frame").svg().contains("NaN"), "no points at all");
+    }
 }
