@@ -108,8 +108,9 @@ impl Chart {
 pub(super) fn density(histogram: &DepthHistogram, gate: &ForegroundGate) -> String {
     let bins = histogram.bins();
     let (low, high) = (histogram.edge(0), histogram.edge(bins));
-    let most =
-        histogram.shares().iter().chain(histogram.density()).fold(0.0, |m: f64, v| m.max(*v));
+    // The density is one per metre: as a share of a bin it fits the bars.
+    let smooth = || histogram.density().iter().map(|density| density * histogram.bin_width());
+    let most = histogram.shares().iter().copied().chain(smooth()).fold(0.0, f64::max);
     let plot = Plot { low, high, top: 100.0 * most * 1.05 };
     let mut svg =
         plot.frame("depth density in the box, % of its known pixels in each bin", "depth, m");
@@ -137,7 +138,7 @@ pub(super) fn density(histogram: &DepthHistogram, gate: &ForegroundGate) -> Stri
         );
     }
     let line: Vec<String> = (0..bins)
-        .zip(histogram.density())
+        .zip(smooth())
         .map(|(i, v)| format!("{:.1},{:.1}", plot.x(histogram.center(i)), plot.y(100.0 * v)))
         .collect();
     let _ = writeln!(
