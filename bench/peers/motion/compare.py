@@ -4,8 +4,8 @@ Both sides get the same matches: points of the first picture, lifted by its dept
 map, with the pixels where they are seen in the second. They come twice for each
 pair: from RealNet's own corners and flow, and from OpenCV's SIFT, which also finds
 them over steps that flow cannot follow. RealNet solves as its tracker does; OpenCV
-by solvePnPRansac (AP3P, the same threshold, confidence and most samples), then
-solvePnPRefineLM on its inliers.
+by solvePnPRansac (AP3P, or --method iterative, its default; the same threshold,
+confidence and most samples), then solvePnPRefineLM on its inliers.
 
 The bar: each pair that RealNet accepts is within 1 degree and 2 cm of OpenCV. Pairs
 that it refuses are listed with the reason and do not count as agreement. For those
@@ -103,13 +103,19 @@ def sift(row, camera, scale):
     return {"points": points, "pixels": pixels, "size": row["size"], "camera": camera}
 
 
-def opencv(points, pixels, matrix):
+# What OpenCV draws samples for: 4 points for AP3P, or, its default, 5 for EPnP.
+# With the fewest points that each is given.
+METHODS = {"ap3p": (cv2.SOLVEPNP_AP3P, 4), "iterative": (cv2.SOLVEPNP_ITERATIVE, 6)}
+
+
+def opencv(points, pixels, matrix, method):
     """`[R t]` and the number of inliers, or None."""
-    if len(points) < 4:
+    flags, least = METHODS[method]
+    if len(points) < least:
         return None
     good, rotation, translation, inliers = cv2.solvePnPRansac(
         points, pixels, matrix, None, reprojectionError=THRESHOLD_PX, iterationsCount=SAMPLES,
-        confidence=CONFIDENCE, flags=cv2.SOLVEPNP_AP3P,
+        confidence=CONFIDENCE, flags=flags,
     )
     if not good or inliers is None:
         return None
@@ -137,12 +143,12 @@ def settled(points, pixels, matrix, pose):
     return pose
 
 
-def shuffled(points, pixels, matrix):
+def shuffled(points, pixels, matrix, method):
     """OpenCV's answers to the same matches in 40 orders: its samples follow the order."""
     random = np.random.default_rng(1)
     for _ in range(40):
         order = random.permutation(len(points))
-        answer = opencv(points[order], pixels[order], matrix)
+        answer = opencv(points[order], pixels[order], matrix, method)
         if answer is not None:
             yield answer[0]
 
@@ -169,7 +175,7 @@ def difference(a, b):
     return float(np.degrees(2 * np.arcsin(min(chord, 1)))), float(100 * far)
 
 
-def compare(row, answer, problem, matrix, y_up):
+def compare(row, answer, problem, matrix, y_up, method):
     """All figures of one pair."""
     points = np.array(problem["points"], dtype=float).reshape(-1, 3)
     pixels = np.array(problem["pixels"], dtype=float).reshape(-1, 2)
@@ -179,7 +185,7 @@ def compare(row, answer, problem, matrix, y_up):
         flip = np.diag([1.0, -1.0, 1.0])
         truth = flip @ truth @ np.diag([1.0, -1.0, 1.0, 1.0])
     ours = answer["pose"] and np.array(answer["pose"]).reshape(3, 4)
-    theirs = opencv(points, pixels, matrix)
+    theirs = opencv(points, pixels, matrix, method)
     if ours is None:
         figures["refused"] = answer["refused"]
     else:
@@ -198,13 +204,14 @@ def compare(row, answer, problem, matrix, y_up):
         figures["msac"] = msac(points, pixels, matrix, ours)
         figures["opencv_msac"] = msac(points, pixels, matrix, theirs)
         if not within(figures["apart"], BAR_DEGREES, BAR_CM):
-            others = list(shuffled(points, pixels, matrix))
+            others = list(shuffled(points, pixels, matrix, method))
             carried = [settled(points, pixels, matrix, pose) for pose in [theirs, *others]]
             lowest = min(carried, key=lambda pose: msac(points, pixels, matrix, pose))
             figures["opencv_lowest_msac"] = msac(points, pixels, matrix, lowest)
             figures["opencv_lowest_apart"] = difference(ours, lowest)
             itself = [difference(theirs, other) for other in others]
-            figures["opencv_itself"] = sum(within(d, BAR_DEGREES, BAR_CM) for d in itself), len(itself)
+            same = sum(within(d, BAR_DEGREES, BAR_CM) for d in itself)
+            figures["opencv_itself"] = same, len(itself)
     return figures
 
 
@@ -281,6 +288,7 @@ def main():
     parser.add_argument("--data", type=Path, default=ROOT / "../shared/data")
     parser.add_argument("--binary", help="of the example `matches`; without it, it is built")
     parser.add_argument("--sets", nargs="*", help="names of sets, all without it")
+    parser.add_argument("--method", choices=METHODS, default="ap3p", help="OpenCV's samples")
     parser.add_argument("--json", help="write the figures to this file")
     args = parser.parse_args()
     rust = args.binary or binary()
@@ -302,9 +310,11 @@ def main():
             file = Path(scratch) / "matches.jsonl"
             file.write_text("".join(json.dumps(problem) + "\n" for problem in problems))
             answers = lines_of([rust, "--matches", file])
-        results[f"{name}, flow"] = [compare(row, row, row, matrix, y_up) for row in rows]
+        results[f"{name}, flow"] = [
+            compare(row, row, row, matrix, y_up, args.method) for row in rows
+        ]
         results[f"{name}, SIFT"] = [
-            compare(row, answer, problem, matrix, y_up)
+            compare(row, answer, problem, matrix, y_up, args.method)
             for row, answer, problem in zip(rows, answers, problems, strict=True)
         ]
 
