@@ -1,8 +1,10 @@
 //! RealNet makes a robot follow a moving target with one ordinary camera.
 //!
 //! This crate is the front door: it gathers the rooms of the house under one
-//! name and holds the `realnet` program. What stands today is the first room,
-//! *see*: YOLOv5 from any YOLOv5 weights on real frames, without Python.
+//! name and holds the `realnet` program. What stands today is *see*, YOLOv5 from
+//! any YOLOv5 weights on real frames, without Python, and *range*: the depth between
+//! two depth maps ([`motion`]), a box carried by flow ([`carry`]), and what a box
+//! says about the distance ([`cues`]).
 //!
 //! ```no_run
 //! let mut detector = realnet::Detector::open("yolov5n.pt".as_ref())?;

@@ -154,8 +154,9 @@ impl Body {
         let last = self.past.now_from_then;
         let predicted = Pose::exp(&(self.past.rate * seconds)) * last;
         let mut answer = self.attempt(pictures, flow, Start::Predicted, &predicted);
+        // The reason that is given is the last attempt's, as are the tracks.
         if answer.is_err() && self.past.rate != Vector6::zeros() {
-            answer = self.attempt(pictures, flow, Start::Last, &last).or(answer);
+            answer = self.attempt(pictures, flow, Start::Last, &last);
         }
         if answer.is_err() {
             let shift = search.run(pictures.then, pictures.now, &self.pixels);
@@ -163,7 +164,7 @@ impl Body {
                 self.initial.clear();
                 let moved = self.pixels.iter().map(|p| [p[0] + shift[0], p[1] + shift[1]]);
                 self.initial.extend(moved);
-                answer = self.follow(pictures, flow, Start::Search, &last).or(answer);
+                answer = self.follow(pictures, flow, Start::Search, &last);
             }
         }
         if let Ok(motion) = &answer {
