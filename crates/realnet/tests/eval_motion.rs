@@ -24,7 +24,7 @@ use std::{
 };
 use tempfile::tempdir;
 
-/// What the issue of this command promises, in its order.
+/// The figures that every reader may count on, in their order.
 const KEYS: [&str; 10] = [
     "abs_rel",
     "sq_rel",
@@ -153,6 +153,8 @@ fn a_target_moves_on_its_own() {
     assert_eq!((&with["target_frames"], &with["target_failed"]), (&18.into(), &0.into()));
     let (found, hold) = (number(&with, "target_abs_rel"), number(&with, "target_abs_rel_hold"));
     assert!(found < 0.25 * hold, "{found} against {hold} on the target");
+    // The last map is the worse the faster things move.
+    assert!(hold > 1.5 * number(&with, "abs_rel_hold"), "of the target alone: {with}");
     assert!(number(&with, "abs_rel") < number(&without, "abs_rel"), "{with}\n{without}");
     assert!(number(&with, "rpe_trans_m") < 0.005 && number(&with, "rpe_rot_deg") < 0.1, "{with}");
     // A box without any depth in it is no target, and that is said.
@@ -415,6 +417,23 @@ fn a_report_that_cannot_be_written_costs_no_figures() {
     assert_eq!(serde_json::from_slice::<Value>(&metrics).unwrap(), figures);
     assert_eq!(rows(&report).len(), 6);
     assert!(listing(&report).iter().all(|name| !name.ends_with(".part")), "rubbish was left");
+}
+
+/// The page tells the command, whatever bytes it was called with.
+#[cfg(unix)]
+#[test]
+fn names_need_not_be_text() {
+    use std::os::unix::ffi::OsStrExt;
+    let room = Room::new(Square::Resting, 5);
+    let odd = room.path("").join(std::ffi::OsStr::from_bytes(b"it's \xff"));
+    std::fs::rename(room.path("seq"), &odd).unwrap();
+    let mut command = command();
+    command.args(["eval", "motion", "--every", "4", "--fx", "140", "--data"]).arg(&odd);
+    let run = finish(command.arg("--report").arg(room.path("report")));
+    assert_eq!(run.code, Some(0), "{run:#?}");
+    assert!(run.stdout.starts_with("5 frames, depth given on 2, produced for 3 (0 failed)\n"));
+    let html = std::fs::read_to_string(room.path("report/index.html")).unwrap();
+    assert!(html.contains("/it'\\''s \u{fffd}' --report "), "{html}");
 }
 
 /// The run waits for this test at a picture that is a pipe; after the signal there
