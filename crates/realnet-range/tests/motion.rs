@@ -273,6 +273,28 @@ fn a_small_target_is_followed_under_the_rotation_of_the_ground() {
     assert!(translations >= 5, "{translations}");
 }
 
+/// A body that moves by itself and is nobody's target must not pass for ground.
+#[test]
+fn a_stranger_in_the_scene_is_no_ground() {
+    let run = Run::drive();
+    let mut tracker = tracker();
+    let (frame, depth) = run.at(0.0);
+    tracker.push(&frame).unwrap();
+    tracker.keep();
+    tracker.set_depth(&depth, None).unwrap();
+    for step in 1..=9 {
+        let t = f64::from(step) / 30.0;
+        tracker.push(&run.at(t).0).unwrap();
+        let motion = tracker.estimate();
+        let found = motion.background.as_ref().unwrap().now_from_then();
+        let error = found * run.motions(0.0, t).0.inverse();
+        // As long as it moved by less than a pixel, it cannot be told from noise.
+        let (metres, degrees) = if step < 3 { (0.04, 0.5) } else { (0.004, 0.05) };
+        assert!(error.translation_norm() < metres, "{step}: {error:?}");
+        assert!(error.rotation_angle().to_degrees() < degrees, "{step}: {error:?}");
+    }
+}
+
 /// Without the target's motion its pixels, and those behind, are unknown.
 #[test]
 fn a_lost_target_leaves_a_hole() {

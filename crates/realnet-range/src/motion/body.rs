@@ -4,13 +4,19 @@ use crate::motion::shift::ShiftSearch;
 use crate::motion::{BodyMotion, MotionError, MotionFailure, MotionOptions, Start};
 use realnet_core::nalgebra::{Point3, UnitQuaternion, Vector6};
 use realnet_core::{CameraModel, Pose, Stamp};
-use realnet_pose::{Correspondences, PnpError, PnpSolver};
+use realnet_pose::{Correspondences, PnpError, PnpSolver, RansacOptions};
 use realnet_vision::{FlowError, LucasKanade, Pyramid, Track, TrackStatus};
 
 /// Corners below which no motion is looked for: those of the smallest problem
 /// that the solver accepts, without and with a rotation to go by.
 const LEAST_CORNERS: usize = 6;
 const LEAST_HELD: usize = 4;
+
+/// The threshold that is tried first, as a share of the full one: slow movers among
+/// the background are outliers to it. The full one is for noisy depth maps.
+const FINE: f64 = 1.0 / 3.0;
+/// Samples drawn for it, at most.
+const FINE_SAMPLES: usize = 500;
 
 /// One rigid body.
 #[derive(Clone, Debug)]
@@ -26,6 +32,7 @@ pub(super) struct Body {
     rays: Vec<[f64; 2]>,
     places: Vec<usize>,
     inliers: Vec<bool>,
+    fine: PnpSolver,
     solver: PnpSolver,
     held: Option<Held>,
     past: Past,
@@ -61,8 +68,14 @@ impl Body {
         options: &MotionOptions,
         capacity: usize,
     ) -> Result<Self, MotionError> {
+        let fine = RansacOptions {
+            threshold_px: FINE * options.ransac.threshold_px,
+            max_iterations: options.ransac.max_iterations.min(FINE_SAMPLES),
+            ..options.ransac
+        };
         Ok(Self {
             name,
+            fine: PnpSolver::with_capacity(fine, capacity)?,
             seed: options.seed,
             pixels: Vec::with_capacity(capacity),
             points: Vec::with_capacity(capacity),
@@ -242,19 +255,27 @@ impl Body {
         }
         let focal = [camera.fx(), camera.fy()];
         let estimate = Correspondences::new(&self.found, &self.rays, focal).and_then(|problem| {
+            // A threshold that nearly all of the points meet is wide enough.
+            if let Ok(estimate) = self.fine.solve_near(&problem, near, self.seed)
+                && 5 * estimate.inliers > 4 * tracked
+            {
+                return Ok((estimate, true));
+            }
             let rigid = self.solver.solve_near(&problem, near, self.seed);
-            match (rigid, self.held) {
+            let estimate = match (rigid, self.held) {
                 (Err(reason), Some(Held { rotation, std })) => self
                     .solver
                     .solve_translation(&problem, &rotation, std, self.seed)
                     .map_err(|_| reason),
                 (rigid, _) => rigid,
-            }
+            };
+            estimate.map(|estimate| (estimate, false))
         });
-        let estimate =
+        let (estimate, fine) =
             estimate.map_err(|reason: PnpError| MotionFailure::Pose { body, tracked, reason })?;
         self.inliers.resize(corners, false);
-        for (&place, &inlier) in self.places.iter().zip(self.solver.inliers()) {
+        let inliers = if fine { self.fine.inliers() } else { self.solver.inliers() };
+        for (&place, &inlier) in self.places.iter().zip(inliers) {
             if let Some(entry) = self.inliers.get_mut(place) {
                 *entry = inlier;
             }

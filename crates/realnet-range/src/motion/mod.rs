@@ -14,6 +14,9 @@
 //!    small for a rotation of its own gets a translation.
 //! 4. The depth map, **warped** by the two motions, is the depth now.
 //!
+//! What moves on its own without being the target is told from the ground once it
+//! has moved by more than a pixel or so; until then it pulls at the camera's motion.
+//!
 //! A motion that cannot be stood by is a [`MotionFailure`] that says why, and what
 //! depends on it is unknown.
 //!

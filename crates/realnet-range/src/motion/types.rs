@@ -21,7 +21,8 @@ pub struct MotionOptions {
     /// holds of the background pulls at small targets. The window must not be
     /// larger than that of `flow`.
     pub target_flow: FlowOptions,
-    /// How motions are found, and which are accepted. Default: inliers within 3
+    /// How motions are found, and which are accepted. A third of its threshold is
+    /// tried first, and taken when four of five points meet it. Default: inliers within 3
     /// pixels.
     pub ransac: RansacOptions,
     /// A corner is lifted when the depths of the 3 x 3 pixels around it are within
