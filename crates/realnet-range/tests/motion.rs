@@ -409,6 +409,83 @@ fn the_same_run_gives_the_same_bytes() {
     assert!(maps() == maps());
 }
 
+/// A camera that shakes: from a map's frame to its arrival the rate has turned around.
+/// Only the motion measured since then predicts the corners, whether a frame is kept
+/// before or after its motion is estimated.
+#[test]
+fn a_late_depth_map_keeps_the_motion_since_its_frame() {
+    let run = Run {
+        world_from_camera: |t| {
+            let yaw = 0.1 * (4.0 * std::f64::consts::PI * t).sin();
+            Pose::exp(&Vector6::new(0.0, 0.0, 0.2 * t, 0.0, yaw, 0.0))
+        },
+        ..Run::drive()
+    };
+    for keep_first in [true, false] {
+        let mut tracker = keyed(&run);
+        let mut kept = None;
+        for step in 1..=40 {
+            let t = f64::from(step) / 30.0;
+            let (frame, depth) = run.at(t);
+            tracker.push(&frame).unwrap();
+            let due = step % 9 == 0;
+            if due && keep_first {
+                tracker.keep();
+            }
+            let start = tracker.estimate().background.as_ref().unwrap().start;
+            assert_eq!(start, Start::Predicted, "{keep_first} {step}");
+            if due {
+                if !keep_first {
+                    tracker.keep();
+                }
+                kept = Some((step, depth));
+            }
+            if let Some((_, depth)) = kept.take_if(|(then, _)| *then + 6 == step) {
+                tracker.set_depth(&depth, None).unwrap();
+            }
+        }
+    }
+}
+
+/// The same tile again and again: after a second without sight the camera has stopped,
+/// and where its old speed would have taken it, the next tile lies.
+#[test]
+fn an_old_speed_does_not_lead_to_the_next_tile() {
+    let camera = camera();
+    let wall = |stamp: Stamp, x: f64| {
+        let wave = std::f64::consts::TAU / 0.25;
+        let grey = |i: u32| {
+            let pixel = [f64::from(i % 320), f64::from(i / 320)];
+            let [u, v] = camera.unproject(pixel).unwrap().map(|ray| 2.0 * ray * wave);
+            let u = u + x * wave;
+            let tile = u.sin() * v.cos()
+                + 0.6 * (2.0 * u + 1.0).sin() * (2.0 * v).sin()
+                + 0.4 * (3.0 * v).cos();
+            (128.0 + 50.0 * tile) as u8
+        };
+        Frame::grey8(stamp, 320, 240, (0..320 * 240).map(grey).collect()).unwrap()
+    };
+    let at = |step: i64| Stamp::from_nanos(step * 33_333_333);
+    let mut tracker = tracker();
+    tracker.push(&wall(at(0), 0.0)).unwrap();
+    tracker.keep();
+    let depth = DepthMap::new(at(0), 320, 240, vec![2.0; 320 * 240]).unwrap();
+    tracker.set_depth(&depth, None).unwrap();
+    for step in 1..=10 {
+        tracker.push(&wall(at(step), 0.01 * step as f64)).unwrap();
+        assert!(tracker.estimate().background.is_ok());
+    }
+    for step in 11..=35 {
+        let dark = Frame::grey8(at(step), 320, 240, vec![9; 320 * 240]).unwrap();
+        tracker.push(&dark).unwrap();
+        assert!(tracker.estimate().background.is_err());
+    }
+    tracker.push(&wall(at(36), 0.1)).unwrap();
+    let motion = tracker.estimate();
+    let place = motion.then_from_now().unwrap().translation();
+    assert!((place.x - 0.1).abs() < 0.01, "{place}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 

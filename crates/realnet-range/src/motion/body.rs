@@ -17,6 +17,10 @@ const LEAST_HELD: usize = 4;
 const FINE: f64 = 1.0 / 3.0;
 /// Samples drawn for it, at most.
 const FINE_SAMPLES: usize = 500;
+/// The last rate predicts for so long, seconds, or for twice the step it was measured
+/// over. After a longer gap the body may have stopped, and where texture repeats a
+/// wrong prediction finds the wrong repetition.
+const HORIZON: f64 = 0.2;
 
 /// One rigid body.
 #[derive(Clone, Debug)]
@@ -45,6 +49,22 @@ struct Past {
     stamp: Stamp,
     /// Twist a second of `now_from_then`, from the left: in the camera's frame.
     rate: Vector6<f64>,
+    /// Seconds over which it was measured.
+    step: f64,
+}
+
+impl Past {
+    /// At rest.
+    fn new(stamp: Stamp) -> Self {
+        Self { now_from_then: Pose::identity(), stamp, rate: Vector6::zeros(), step: 0.0 }
+    }
+
+    /// The motion carried on to a frame `seconds` later, if that can be said.
+    fn predicted(&self, seconds: f64) -> Option<Pose> {
+        let rests = self.rate == Vector6::zeros();
+        let fresh = rests || seconds <= HORIZON.max(2.0 * self.step);
+        fresh.then(|| Pose::exp(&(self.rate * seconds)) * self.now_from_then)
+    }
 }
 
 /// The pictures that flow runs between.
@@ -87,11 +107,7 @@ impl Body {
             inliers: Vec::with_capacity(capacity),
             solver: PnpSolver::with_capacity(options.ransac, capacity)?,
             held: None,
-            past: Past {
-                now_from_then: Pose::identity(),
-                stamp: Stamp::ZERO,
-                rate: Vector6::zeros(),
-            },
+            past: Past::new(Stamp::ZERO),
         })
     }
 
@@ -143,7 +159,7 @@ impl Body {
 
     /// Forgets how it moved: the next body of this name is another one.
     pub(super) fn forget(&mut self, stamp: Stamp) {
-        self.past = Past { now_from_then: Pose::identity(), stamp, rate: Vector6::zeros() };
+        self.past = Past::new(stamp);
     }
 
     /// The motion from then to now: a rigid one, or where there is none and a
@@ -165,10 +181,13 @@ impl Body {
         }
         let seconds = pictures.now.stamp().seconds_since(self.past.stamp);
         let last = self.past.now_from_then;
-        let predicted = Pose::exp(&(self.past.rate * seconds)) * last;
-        let mut answer = self.attempt(pictures, flow, Start::Predicted, &predicted);
+        let predicted = self.past.predicted(seconds);
+        let mut answer = match &predicted {
+            Some(predicted) => self.attempt(pictures, flow, Start::Predicted, predicted),
+            None => self.attempt(pictures, flow, Start::Last, &last),
+        };
         // The reason that is given is the last attempt's, as are the tracks.
-        if answer.is_err() && self.past.rate != Vector6::zeros() {
+        if answer.is_err() && predicted.is_some_and(|predicted| predicted != last) {
             answer = self.attempt(pictures, flow, Start::Last, &last);
         }
         if answer.is_err() {
@@ -191,6 +210,7 @@ impl Body {
         if seconds > 0.0 {
             let step = now_from_then * self.past.now_from_then.inverse();
             self.past.rate = step.log() / seconds;
+            self.past.step = seconds;
         }
         self.past.now_from_then = now_from_then;
         self.past.stamp = stamp;

@@ -223,6 +223,12 @@ impl MotionTracker {
                 (background, target)
             }
         };
+        // A frame may be kept before its motion is known.
+        let now = self.now.stamp();
+        if let Some(kept) = self.waiting.as_mut().filter(|kept| kept.stamp == now) {
+            kept.background = self.background.motion_at(now);
+            kept.target = self.target.motion_at(now);
+        }
         let scale_std = self.options.scale_std;
         let (then, now) = (self.then.stamp(), self.now.stamp());
         self.motion.insert(Motion { then, now, background, target, scale_std })

@@ -286,7 +286,10 @@ impl Motion {
         let motion = *body_from_optical * then_from_now * body_from_optical.inverse();
         let carry = body_from_optical.adjoint();
         let covariance = carry * background.estimate.covariance * carry.transpose();
-        self.velocity(&motion, covariance)
+        // The map's scale is in what the camera moved, not in the lever to the body's origin.
+        let moved = then_from_now.log().fixed_rows::<3>(0).into_owned();
+        let scaled = body_from_optical.rotation() * moved;
+        self.velocity(motion.log(), &scaled, covariance)
     }
 
     /// The target's mean velocity over the ground from then to now, in the axes of
@@ -305,22 +308,30 @@ impl Motion {
         let covariance = turn * (of(background) + of(target)) * turn.transpose();
         let motion = then_from_now * target.now_from_then();
         let then = target.now_from_then().inverse() * realnet_core::nalgebra::Point3::from(middle);
-        let at = Pose::from_translation(-then.coords);
-        self.velocity(&(at * motion * at.inverse()), covariance)
+        // What the middle moved by, whose error does not depend on the rotation's: the
+        // linear part of the logarithm holds half of rotation x displacement.
+        let mut twist = Pose::from_rotation(motion.rotation()).log();
+        let moved = motion * then - then;
+        twist.fixed_rows_mut::<3>(0).copy_from(&moved);
+        self.velocity(twist, &moved, covariance)
     }
 
-    fn velocity(&self, motion: &Pose, covariance: Matrix6<f64>) -> Option<Velocity> {
+    /// Of a motion over all the seconds; `scaled` is the part of its translation that
+    /// the depth map's scale is in.
+    fn velocity(
+        &self,
+        twist: Vector6<f64>,
+        scaled: &Vector3<f64>,
+        covariance: Matrix6<f64>,
+    ) -> Option<Velocity> {
         let seconds = self.seconds();
         if seconds <= 0.0 {
             return None;
         }
-        let twist = motion.log() / seconds;
-        let linear: Vector3<f64> = twist.fixed_rows::<3>(0).into_owned();
-        let mut covariance = covariance / (seconds * seconds);
-        let scale = linear * linear.transpose() * (self.scale_std * self.scale_std);
+        let mut covariance = covariance;
         let mut block = covariance.fixed_view_mut::<3, 3>(0, 0);
-        block += scale;
-        Some(Velocity { twist, covariance })
+        block += scaled * scaled.transpose() * (self.scale_std * self.scale_std);
+        Some(Velocity { twist: twist / seconds, covariance: covariance / (seconds * seconds) })
     }
 }
 
