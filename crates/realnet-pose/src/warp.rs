@@ -107,7 +107,7 @@ impl DepthWarper {
     /// `background` is `now_from_then` of all that does not belong to `target`,
     /// in the camera's optical frame: for a camera that moves through a still
     /// scene, the pose of then's camera in now's. With `None` only the target is
-    /// warped, which costs in proportion to its size.
+    /// warped, which costs in proportion to its size, and one pass over the map.
     ///
     /// # Errors
     /// [`WarpError::Size`].

@@ -9,7 +9,9 @@
 mod sequences;
 
 use realnet_core::{BoundingBox, Frame};
-use realnet_range::carry::{BoxCarrier, Carried, CarryError, CarryOptions, Motion, SearchOptions};
+use realnet_range::carry::{
+    BoxCarrier, BoxMotion, Carried, CarryError, CarryOptions, SearchOptions,
+};
 use realnet_vision::{Pyramid, Window};
 use serde_json::{Value, json};
 use std::error::Error;
@@ -67,13 +69,13 @@ fn run(sequence: &Sequence, options: CarryOptions, every: usize) -> Outcome<Vec<
     let mut carrier = BoxCarrier::new(options)?;
     let frames = &sequence.frames;
     let Some(first) = frames.first() else { return Err("no frames".into()) };
-    let mut last = (first, first.1, Motion::NONE);
+    let mut last = (first, first.1, BoxMotion::NONE);
     let mut seed = first.1;
     let mut steps = Vec::new();
     for (i, pair) in frames.windows(2).enumerate() {
         let [present, next] = pair else { continue };
         if i % every == 0 {
-            (last, seed) = ((present, present.1, Motion::NONE), present.1);
+            (last, seed) = ((present, present.1, BoxMotion::NONE), present.1);
         }
         // The step into a frame whose box comes from the truth is not needed, unless
         // all of them do.
@@ -100,7 +102,7 @@ fn accepted_upside_down(sequence: &Sequence, options: CarryOptions) -> Outcome<f
     let mut carrier = BoxCarrier::new(options)?;
     let pairs = sequence.frames.iter().zip(sequence.upside_down.iter().skip(1));
     let accepted = pairs
-        .filter(|((from, bbox), to)| carrier.carry(from, to, bbox, Motion::NONE).is_ok())
+        .filter(|((from, bbox), to)| carrier.carry(from, to, bbox, BoxMotion::NONE).is_ok())
         .count();
     Ok(share(accepted, sequence.frames.len() - 1))
 }

@@ -6,7 +6,7 @@
 mod sequences;
 
 use realnet_core::BoundingBox;
-use realnet_range::carry::{BoxCarrier, CarryOptions, Motion};
+use realnet_range::carry::{BoxCarrier, BoxMotion, CarryOptions};
 use realnet_vision::{Pyramid, Window};
 use sequences::Frames;
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ struct Figures {
 fn run(frames: &Frames, every: usize, figures: &mut Figures) {
     let mut carrier = BoxCarrier::new(CarryOptions::default()).unwrap();
     let [mut last, mut next, mut turned] = [(); 3].map(|()| Pyramid::new(3, Window::default()));
-    let mut state = (BoundingBox::default(), Motion::NONE);
+    let mut state = (BoundingBox::default(), BoxMotion::NONE);
     for (i, (frame, truth)) in frames.iter().enumerate() {
         next.build(frame);
         if i > 0 && (every == 1 || i % every != 0) {
@@ -58,7 +58,7 @@ fn run(frames: &Frames, every: usize, figures: &mut Figures) {
             }
         }
         if i % every == 0 {
-            state = (*truth, Motion::NONE);
+            state = (*truth, BoxMotion::NONE);
             last.build(frame);
         }
     }

@@ -3,7 +3,7 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use realnet_core::{BoundingBox, Frame, Stamp};
-use realnet_range::carry::{BoxCarrier, CarryOptions, Motion, SearchOptions};
+use realnet_range::carry::{BoxCarrier, BoxMotion, CarryOptions, SearchOptions};
 use realnet_vision::{Pyramid, Window};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -78,7 +78,7 @@ fn carrying_is_free_of_allocation() {
         let mut outcomes = [0; 3];
         for to in &steps {
             for bbox in &boxes {
-                let outcome = match carrier.carry(&from, to, bbox, Motion::NONE) {
+                let outcome = match carrier.carry(&from, to, bbox, BoxMotion::NONE) {
                     Ok(carried) => usize::from(carried.searched),
                     Err(_) => 2,
                 };

@@ -186,12 +186,13 @@ fn boxes_of_a_file_come_every_so_often() {
     let wanted = ["given", "carried", "carried", "carried", "given", "carried", "carried"];
     assert_eq!(statuses(&records), wanted);
     assert_eq!(edges(&records[4]["box"]), [20.0, 20.0, 90.0, 90.0]);
-    for k in [0, 1, 2, 3] {
+    for k in [1, 2, 3] {
         let overlap = records[k]["iou"].as_f64().unwrap();
         assert!(overlap > 0.93, "{overlap}");
         let by_hand = iou(edges(&records[k]["box"]), target(k as i64));
         assert!((overlap - by_hand).abs() < 2e-3, "{overlap} {by_hand}");
     }
+    assert_eq!(records[0]["iou"], Value::Null, "what was given was not followed");
     assert_eq!(records[5]["iou"], Value::Null, "frame 105 is not in the file");
     // A box that is late is taken when it comes.
     std::fs::write(&path, rows(&[2])).unwrap();
@@ -201,14 +202,14 @@ fn boxes_of_a_file_come_every_so_often() {
     let run = track(&folder, &args);
     assert_eq!((run.code, statuses(&lines(&run))[6]), (Some(0), "waiting"));
     assert!(run.stderr.contains("boxes.csv: no box for any frame"), "{run:#?}");
-    std::fs::write(&path, rows(&[2])).unwrap();
+    std::fs::write(&path, rows(&[2, 3])).unwrap();
     let source = folder.path().join("frames");
     let run = realnet(&[&["track", "--source", text(&source)], &args[..]].concat()).quiet();
     let last = run.stdout.lines().last().unwrap();
     assert!(
         last.starts_with("7 frames: ") && last.contains("; box carried in 4 frames, lost in 0")
     );
-    assert!(last.ends_with("IoU at least 0.5 in 1 of 1 frames"), "{last}");
+    assert!(last.ends_with("IoU at least 0.5 in 1 of 1 frames followed"), "{last}");
 }
 
 #[test]
@@ -415,6 +416,8 @@ fn a_real_car_with_strong_blur_is_followed() {
     let run = realnet(&[&args[..], &["--every", "15"]].concat()).quiet();
     let records = lines(&run);
     assert_eq!(records.len(), 100);
-    let good = records.iter().filter(|r| r["iou"].as_f64().unwrap() >= 0.5).count();
-    assert!(good >= 90, "IoU 0.5 in {good} of 100 frames");
+    let followed: Vec<f64> = records.iter().filter_map(|r| r["iou"].as_f64()).collect();
+    assert_eq!(followed.len(), 93);
+    let good = followed.iter().filter(|iou| **iou >= 0.5).count();
+    assert!(good >= 84, "IoU 0.5 in {good} of 93 frames");
 }

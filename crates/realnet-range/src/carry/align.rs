@@ -2,7 +2,7 @@
 
 use super::fit::{Fit, Pair, Similarity, fit};
 use super::view::{BOX, MIDDLE, SIDE, Sampler, View};
-use super::{Carried, CarriedPoint, CarryError, CarryOptions, Motion, in_sight};
+use super::{BoxMotion, Carried, CarriedPoint, CarryError, CarryOptions, in_sight};
 use realnet_core::{BoundingBox, Frame, Stamp};
 use realnet_vision::{
     Corner, CornerDetector, CornerMask, CornerOptions, FlowError, FlowOptions, LucasKanade,
@@ -126,7 +126,7 @@ impl Aligner {
         &mut self,
         to: &Pyramid,
         bbox: &BoundingBox,
-        start: Motion,
+        start: BoxMotion,
         options: &CarryOptions,
     ) -> Result<Carried, CarryError> {
         let picture = to.full()?;
@@ -151,7 +151,7 @@ impl Aligner {
                 return Err(CarryError::NoConsensus { tracked: self.pairs.len(), inliers, needed });
             };
             let Similarity { scale, shift } = fit.similarity;
-            motion = Motion {
+            motion = BoxMotion {
                 shift: [0, 1].map(|i| motion.shift[i] + shift[i] * view.unit),
                 scale: motion.scale * scale,
             };

@@ -1,7 +1,7 @@
 //! Where the box could be, by its looks alone.
 
 use super::view::{Sampler, View};
-use super::{Motion, SearchOptions};
+use super::{BoxMotion, SearchOptions};
 use realnet_core::{BoundingBox, Frame, Stamp};
 use realnet_vision::{PatchSearch, Pyramid, Window};
 
@@ -17,7 +17,7 @@ pub(super) const PLACES: usize = 3;
 /// A place the box could have gone to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
-    pub(super) motion: Motion,
+    pub(super) motion: BoxMotion,
     pub(super) score: f32,
 }
 
@@ -50,7 +50,7 @@ impl CoarseSearch {
         &mut self,
         (from, to): (&Pyramid, &Pyramid),
         bbox: &BoundingBox,
-        prediction: Motion,
+        prediction: BoxMotion,
         options: &SearchOptions,
     ) -> &[Place] {
         self.found.clear();
@@ -69,7 +69,7 @@ impl CoarseSearch {
         let [width, height] = grid.half.map(|half| 2 * (grid.radius + half) + 1);
         self.area.clear();
         self.area.resize((width * height) as usize, 0);
-        let there = view.moved(Motion { scale: 1.0, ..prediction });
+        let there = view.moved(BoxMotion { scale: 1.0, ..prediction });
         self.sampler.fill(to, grid.level, there, (width, height), &mut self.area);
         let area = std::mem::take(&mut self.area);
         let Ok(frame) = Frame::grey8(Stamp::ZERO, width, height, area) else { return &[] };
@@ -135,7 +135,7 @@ impl CoarseSearch {
             peaks[count] = best;
             let [dx, dy] = grid.prediction;
             let shift = [dx + (best.0 - middle) * unit, dy + (best.1 - middle) * unit];
-            self.found.push(Place { motion: Motion { shift, scale }, score: best_score });
+            self.found.push(Place { motion: BoxMotion { shift, scale }, score: best_score });
         }
     }
 }
@@ -168,7 +168,7 @@ mod tests {
         let (to, truth) = scene.draw();
         let mut search = CoarseSearch::new();
         let options = SearchOptions::default();
-        let places = search.run((&from, &to), &bbox, Motion::NONE, &options);
+        let places = search.run((&from, &to), &bbox, BoxMotion::NONE, &options);
         let best = places[0];
         assert!(best.motion.apply(&bbox).iou(&truth) > 0.7, "{best:?}");
         assert!(best.score > 0.7 && places.is_sorted_by(|a, b| a.score >= b.score), "{places:?}");
@@ -179,7 +179,7 @@ mod tests {
             }
         }
         // Within the radius of a prediction on the other side there is nothing.
-        let wrong = Motion { shift: [-100.0, 0.0], scale: 1.0 };
+        let wrong = BoxMotion { shift: [-100.0, 0.0], scale: 1.0 };
         let near = SearchOptions { radius: 0.5, ..options };
         let places = search.run((&from, &to), &bbox, wrong, &near);
         assert!(places.iter().all(|place| place.score < best.score - 0.1), "{places:?}");
@@ -190,7 +190,7 @@ mod tests {
         let (from, bbox) = Scene::default().draw();
         let mut search = CoarseSearch::new();
         let options = SearchOptions { steps: 1, ..SearchOptions::default() };
-        let best = search.run((&from, &from), &bbox, Motion::NONE, &options)[0];
+        let best = search.run((&from, &from), &bbox, BoxMotion::NONE, &options)[0];
         assert!(best.score > 0.999 && best.motion.scale == 1.0, "{best:?}");
         assert!(best.motion.shift.iter().all(|v| v.abs() < 1.0), "{best:?}");
     }
@@ -201,7 +201,7 @@ mod tests {
         let bbox = BoundingBox::new(10.0, 100.0, 310.0, 108.0);
         let mut search = CoarseSearch::new();
         let options = SearchOptions { radius: 4.0, ..SearchOptions::default() };
-        search.run((&from, &from), &bbox, Motion::NONE, &options);
+        search.run((&from, &from), &bbox, BoxMotion::NONE, &options);
         assert!(search.area.len() < 100_000, "{}", search.area.len());
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! [`BoxCarrier`] takes a box from one picture to another, from frame to frame or
 //! over a step of a second; what it cannot carry it refuses, with the reason. Over
-//! frames: feed each result's [`Motion`] back as the next prediction, and after a
+//! frames: feed each result's [`BoxMotion`] back as the next prediction, and after a
 //! refusal try the next frame from the last one that has a box; a blurred frame is
 //! passed over that way.
 
@@ -19,14 +19,14 @@ use thiserror::Error;
 
 /// How a box moves from one picture to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
+pub struct BoxMotion {
     /// Shift of the box's centre in pixels, right and down.
     pub shift: [f32; 2],
     /// Its size after, of its size before.
     pub scale: f32,
 }
 
-impl Motion {
+impl BoxMotion {
     /// The box stays where it is.
     pub const NONE: Self = Self { shift: [0.0; 2], scale: 1.0 };
 
@@ -39,7 +39,7 @@ impl Motion {
     }
 }
 
-impl Motion {
+impl BoxMotion {
     /// Whether two motions of a box with this longer side end in each other's reach.
     fn is_close(&self, other: Self, side: f32) -> bool {
         let [dx, dy] = [0, 1].map(|i| self.shift[i] - other.shift[i]);
@@ -131,7 +131,7 @@ pub struct Carried {
     /// The box in the second picture; it may reach outside.
     pub bbox: BoundingBox,
     /// How it got there: the prediction for the next step if speed is constant.
-    pub motion: Motion,
+    pub motion: BoxMotion,
     /// Corners that were looked for.
     pub corners: usize,
     /// Corners that were found again, there and back.
@@ -140,7 +140,7 @@ pub struct Carried {
     pub inliers: usize,
     /// Correlation of the box's content before and after, -1 to 1.
     pub similarity: f32,
-    /// Whether the prediction did not do and a search was needed.
+    /// Whether a search was run, because the prediction alone was not sure.
     pub searched: bool,
     /// Standard deviation of the centre in x and y, in pixels. Like `size_sd` it is
     /// that of this step alone: over several, variances add up.
@@ -162,13 +162,21 @@ pub enum CarryError {
         /// Its range.
         allowed: &'static str,
     },
+    /// The two pyramids are not of as many levels.
+    #[error("from a pyramid of {from} levels to one of {to}")]
+    Levels {
+        /// Levels of the first.
+        from: usize,
+        /// Levels of the second.
+        to: usize,
+    },
     /// The box or the prediction has an edge that is not a finite number, or no area.
     #[error("the box {bbox:?} moved by {prediction:?} is not a box")]
     Improper {
         /// Left, top, right and bottom edge.
         bbox: [f32; 4],
         /// The motion predicted.
-        prediction: Motion,
+        prediction: BoxMotion,
     },
     /// Less than a quarter of the box lies in the picture, or a side there is
     /// shorter than [`BoxCarrier::MIN_SIDE`].
@@ -246,7 +254,7 @@ pub enum CarryError {
 ///
 /// ```
 /// use realnet_core::{BoundingBox, Frame, Stamp};
-/// use realnet_range::carry::{BoxCarrier, CarryOptions, Motion};
+/// use realnet_range::carry::{BoxCarrier, CarryOptions, BoxMotion};
 /// use realnet_vision::{Pyramid, Window};
 ///
 /// // Blots that move 9 pixels to the right and 4 down.
@@ -264,12 +272,12 @@ pub enum CarryError {
 ///
 /// let mut carrier = BoxCarrier::new(CarryOptions::default())?;
 /// let bbox = BoundingBox::new(60.0, 40.0, 130.0, 100.0);
-/// let carried = carrier.carry(&from, &to, &bbox, Motion::NONE)?;
+/// let carried = carrier.carry(&from, &to, &bbox, BoxMotion::NONE)?;
 /// assert!(carried.bbox.iou(&bbox.translated(9.0, 4.0)) > 0.95);
 /// assert!(carried.center_sd[0] < 2.0); // pixels
 ///
 /// let gone = BoundingBox::new(-90.0, 40.0, -20.0, 100.0);
-/// let refused = carrier.carry(&from, &to, &gone, Motion::NONE).unwrap_err();
+/// let refused = carrier.carry(&from, &to, &gone, BoxMotion::NONE).unwrap_err();
 /// assert!(refused.to_string().contains("too little to carry"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -317,7 +325,7 @@ impl BoxCarrier {
 
     /// Carries `bbox` from the picture `from` to the picture `to`, of the same size.
     /// `prediction` is where to look first: the motion of the last step, say, or
-    /// [`Motion::NONE`].
+    /// [`BoxMotion::NONE`].
     ///
     /// # Errors
     /// [`CarryError`], with the reason of the start that came closest.
@@ -326,7 +334,7 @@ impl BoxCarrier {
         from: &Pyramid,
         to: &Pyramid,
         bbox: &BoundingBox,
-        prediction: Motion,
+        prediction: BoxMotion,
     ) -> Result<Carried, CarryError> {
         self.points.clear();
         self.check(from, to, bbox, prediction)?;
@@ -364,7 +372,7 @@ impl BoxCarrier {
         &mut self,
         to: &Pyramid,
         bbox: &BoundingBox,
-        start: Motion,
+        start: BoxMotion,
         before: Option<Attempt>,
     ) -> Attempt {
         let attempt = self.aligner.align(to, bbox, start, &self.options);
@@ -385,12 +393,16 @@ impl BoxCarrier {
         from: &Pyramid,
         to: &Pyramid,
         bbox: &BoundingBox,
-        prediction: Motion,
+        prediction: BoxMotion,
     ) -> Result<(), CarryError> {
         let size = |pyramid: &Pyramid| pyramid.full().map(|level| (level.width(), level.height()));
+        let (from_levels, to_levels) = (from.levels().len(), to.levels().len());
         let (from, to) = (size(from)?, size(to)?);
         if from != to {
             return Err(FlowError::Size { from, to }.into());
+        }
+        if from_levels != to_levels {
+            return Err(CarryError::Levels { from: from_levels, to: to_levels });
         }
         let moved = prediction.apply(bbox);
         if !bbox.is_proper() || !moved.is_proper() || bbox.area() > 1e12 || moved.area() > 1e12 {

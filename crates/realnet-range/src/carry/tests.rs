@@ -107,7 +107,7 @@ fn carrier(options: CarryOptions) -> BoxCarrier {
 fn carry(to: Scene) -> (Result<Carried, CarryError>, BoundingBox) {
     let (from, bbox) = Scene::default().draw();
     let (to, truth) = to.draw();
-    (carrier(CarryOptions::default()).carry(&from, &to, &bbox, Motion::NONE), truth)
+    (carrier(CarryOptions::default()).carry(&from, &to, &bbox, BoxMotion::NONE), truth)
 }
 
 #[test]
@@ -129,13 +129,13 @@ fn steps_larger_than_the_box_are_found_by_search_or_prediction() {
     let (from, bbox) = Scene::default().draw();
     let (to, truth) = Scene::at(245.0, 75.0, 1.25).draw();
     let mut with = carrier(CarryOptions::default());
-    let carried = with.carry(&from, &to, &bbox, Motion::NONE).unwrap();
+    let carried = with.carry(&from, &to, &bbox, BoxMotion::NONE).unwrap();
     assert!(carried.searched && carried.bbox.iou(&truth) > 0.95, "{carried:?}");
 
     let mut without = carrier(CarryOptions { search: None, ..CarryOptions::default() });
-    let refused = without.carry(&from, &to, &bbox, Motion::NONE).unwrap_err();
+    let refused = without.carry(&from, &to, &bbox, BoxMotion::NONE).unwrap_err();
     assert!(without.points().is_empty(), "{refused}");
-    let prediction = Motion { shift: [88.0, -40.0], scale: 1.2 };
+    let prediction = BoxMotion { shift: [88.0, -40.0], scale: 1.2 };
     let carried = without.carry(&from, &to, &bbox, prediction).unwrap();
     assert!(!carried.searched && carried.bbox.iou(&truth) > 0.95, "{carried:?}");
 }
@@ -163,7 +163,7 @@ fn half_covered_is_enough_and_the_cover_is_told_apart() {
     let (from, bbox) = Scene::default().draw();
     let (to, truth) = Scene { covered: 0.3, ..Scene::at(162.0, 125.0, 1.0) }.draw();
     let mut carrier = carrier(CarryOptions::default());
-    let carried = carrier.carry(&from, &to, &bbox, Motion::NONE).unwrap();
+    let carried = carrier.carry(&from, &to, &bbox, BoxMotion::NONE).unwrap();
     assert!(carried.bbox.iou(&truth) > 0.95, "{carried:?}");
     let edge = truth.x0 + 0.3 * truth.width();
     let inliers: Vec<_> = carrier.points().iter().filter(|point| point.inlier).collect();
@@ -183,7 +183,7 @@ fn background_inside_the_box_is_not_the_target() {
     let (to, _) = moved.draw();
     let mut carrier = carrier(CarryOptions::default());
     let bbox = loose(Scene::default());
-    let carried = carrier.carry(&from, &to, &bbox, Motion::NONE).unwrap();
+    let carried = carrier.carry(&from, &to, &bbox, BoxMotion::NONE).unwrap();
     assert!(carried.bbox.iou(&loose(moved)) > 0.9, "{carried:?}");
     // Some of the background's texture is found again by chance, but little of it.
     let target = Scene::default().bbox();
@@ -207,7 +207,7 @@ fn a_box_cut_off_by_the_picture_is_carried_whole() {
     let (from, bbox) = Scene::at(20.0, 120.0, 1.0).draw();
     let (to, truth) = Scene::at(12.0, 124.0, 1.0).draw();
     let mut carrier = carrier(CarryOptions::default());
-    let carried = carrier.carry(&from, &to, &bbox, Motion::NONE).unwrap();
+    let carried = carrier.carry(&from, &to, &bbox, BoxMotion::NONE).unwrap();
     assert!(carried.bbox.x0 < 0.0 && carried.bbox.iou(&truth) > 0.9, "{carried:?}");
     assert!(carrier.points().iter().all(|p| p.from[0] >= 0.0 && p.to[0] >= 0.0));
 }
@@ -218,7 +218,7 @@ fn what_is_no_target_is_refused_with_the_reason() {
     let (textured, _) = Scene::default().draw();
     let mut carrier = carrier(CarryOptions::default());
     let inner = BoundingBox::from_center(150.0, 120.0, 60.0, 30.0);
-    let error = carrier.carry(&flat, &textured, &inner, Motion::NONE).unwrap_err();
+    let error = carrier.carry(&flat, &textured, &inner, BoxMotion::NONE).unwrap_err();
     assert!(matches!(error, CarryError::NoTexture { corners: 0, needed: 6 }), "{error:?}");
 
     let mut error = |bbox: [f32; 4], prediction| {
@@ -231,25 +231,25 @@ fn what_is_no_target_is_refused_with_the_reason() {
         [100.0, 100.0, 105.0, 150.0],
         [-1e5, -1e5, 1e5, 1e5],
     ] {
-        let error = error(bbox, Motion::NONE);
+        let error = error(bbox, BoxMotion::NONE);
         assert!(matches!(error, CarryError::OutOfSight { .. }), "{error:?}");
     }
     let proper = <[f32; 4]>::from(bbox);
-    let nan = Motion { shift: [f32::NAN, 0.0], scale: 1.0 };
+    let nan = BoxMotion { shift: [f32::NAN, 0.0], scale: 1.0 };
     for (bbox, prediction) in [
-        ([f32::NAN, 0.0, 10.0, 10.0], Motion::NONE),
-        ([0.0, 0.0, f32::INFINITY, 10.0], Motion::NONE),
-        ([50.0, 0.0, 10.0, 10.0], Motion::NONE),
-        ([0.0, 0.0, 1e30, 1e30], Motion::NONE),
+        ([f32::NAN, 0.0, 10.0, 10.0], BoxMotion::NONE),
+        ([0.0, 0.0, f32::INFINITY, 10.0], BoxMotion::NONE),
+        ([50.0, 0.0, 10.0, 10.0], BoxMotion::NONE),
+        ([0.0, 0.0, 1e30, 1e30], BoxMotion::NONE),
         (proper, nan),
-        (proper, Motion { scale: 0.0, ..Motion::NONE }),
-        (proper, Motion { scale: -1.0, ..Motion::NONE }),
-        (proper, Motion { scale: f32::MAX, ..Motion::NONE }),
+        (proper, BoxMotion { scale: 0.0, ..BoxMotion::NONE }),
+        (proper, BoxMotion { scale: -1.0, ..BoxMotion::NONE }),
+        (proper, BoxMotion { scale: f32::MAX, ..BoxMotion::NONE }),
     ] {
         let error = error(bbox, prediction);
         assert!(matches!(error, CarryError::Improper { .. }), "{error:?}");
     }
-    let far = Motion { shift: [1e9, -1e9], scale: 1.0 };
+    let far = BoxMotion { shift: [1e9, -1e9], scale: 1.0 };
     assert!(matches!(error(proper, far), CarryError::Improper { .. } | CarryError::Lost { .. }));
 }
 
@@ -258,10 +258,10 @@ fn pictures_that_do_not_suit_are_refused() {
     let (from, bbox) = Scene::default().draw();
     let mut carrier = carrier(CarryOptions::default());
     let empty = Pyramid::new(3, Window::default());
-    let error = carrier.carry(&from, &empty, &bbox, Motion::NONE).unwrap_err();
+    let error = carrier.carry(&from, &empty, &bbox, BoxMotion::NONE).unwrap_err();
     assert_eq!(error, CarryError::Picture(FlowError::NoPicture));
     let small = pyramid(&Frame::grey8(Stamp::ZERO, 100, 90, vec![0; 9000]).unwrap());
-    let error = carrier.carry(&from, &small, &bbox, Motion::NONE).unwrap_err();
+    let error = carrier.carry(&from, &small, &bbox, BoxMotion::NONE).unwrap_err();
     assert!(error.to_string().contains("320x240 to one of 100x90"), "{error}");
 }
 
@@ -296,11 +296,11 @@ fn the_answer_does_not_depend_on_what_was_carried_before() {
     let (from, bbox) = Scene::default().draw();
     let (to, _) = Scene::at(210.0, 100.0, 1.1).draw();
     let mut fresh = carrier(CarryOptions::default());
-    let first = fresh.carry(&from, &to, &bbox, Motion::NONE);
+    let first = fresh.carry(&from, &to, &bbox, BoxMotion::NONE);
     let points = fresh.points().to_vec();
     let other = BoundingBox::new(5.0, 60.0, 95.0, 200.0);
-    let _ = fresh.carry(&to, &from, &other, Motion { shift: [9.0, 9.0], scale: 1.3 });
-    assert_eq!(fresh.carry(&from, &to, &bbox, Motion::NONE), first);
+    let _ = fresh.carry(&to, &from, &other, BoxMotion { shift: [9.0, 9.0], scale: 1.3 });
+    assert_eq!(fresh.carry(&from, &to, &bbox, BoxMotion::NONE), first);
     assert_eq!(fresh.points(), points);
     assert!(first.is_ok());
 }
@@ -329,7 +329,7 @@ fn nearly_all_steps_within_reach_are_carried() {
         let center = [150.0 + at(17, -100.0, 120.0), 120.0 + at(23, -80.0, 80.0)];
         let background = [at(7, -20.0, 20.0), at(11, -20.0, 20.0)];
         let (to, truth) = Scene { center, scale: at(29, 0.75, 1.35), background, ..first }.draw();
-        let outcome = carrier.carry(&from, &to, &bbox, Motion::NONE);
+        let outcome = carrier.carry(&from, &to, &bbox, BoxMotion::NONE);
         carried += usize::from(outcome.is_ok_and(|c| c.bbox.iou(&truth) > 0.85));
     }
     assert!(carried >= 57, "{carried} of 60");
@@ -350,7 +350,7 @@ proptest! {
         let center = [150.0 + dx, 120.0 + dy];
         let (from, bbox) = first.draw();
         let (to, truth) = Scene { center, scale, background, covered, blur, ..first }.draw();
-        let carried = carrier(CarryOptions::default()).carry(&from, &to, &bbox, Motion::NONE);
+        let carried = carrier(CarryOptions::default()).carry(&from, &to, &bbox, BoxMotion::NONE);
         if let Ok(carried) = carried {
             prop_assert!(carried.bbox.iou(&truth) > 0.6, "{carried:?}");
         }
@@ -370,7 +370,7 @@ proptest! {
         let [x0, y0, x1, y1] = edges;
         let sorted = BoundingBox::new(x0.min(x1), y0.min(y1), x0.max(x1), y0.max(y1));
         for bbox in [edges.into(), sorted] {
-            for prediction in [Motion { shift, scale }, Motion { shift, scale: 1.0 }, Motion::NONE] {
+            for prediction in [BoxMotion { shift, scale }, BoxMotion { shift, scale: 1.0 }, BoxMotion::NONE] {
                 let carried = carrier.carry(&from, &from, &bbox, prediction);
                 prop_assert_eq!(carried.is_err(), carrier.points().is_empty());
                 if let Ok(carried) = carried {
@@ -391,7 +391,7 @@ proptest! {
         // The background moves far, or the corners of the box's edges would hold.
         let stranger = Scene { center, scale, background: [331.0, 57.0], target: Some(seed + 3000), ..Scene::default() };
         let (to, _) = stranger.draw();
-        let carried = carrier(CarryOptions::default()).carry(&from, &to, &bbox, Motion::NONE);
+        let carried = carrier(CarryOptions::default()).carry(&from, &to, &bbox, BoxMotion::NONE);
         prop_assert!(carried.is_err(), "{carried:?}");
     }
 }

@@ -1,6 +1,6 @@
 //! A box at a standard size, whatever its size in the picture.
 
-use super::Motion;
+use super::BoxMotion;
 use realnet_core::{BoundingBox, Frame};
 use realnet_vision::Pyramid;
 
@@ -28,7 +28,7 @@ impl View {
     }
 
     /// The view of the same content in the next picture.
-    pub(super) fn moved(&self, motion: Motion) -> Self {
+    pub(super) fn moved(&self, motion: BoxMotion) -> Self {
         let [x, y] = self.center;
         let [dx, dy] = motion.shift;
         Self { center: [x + dx, y + dy], unit: self.unit * motion.scale }
@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn a_moved_view_shows_the_moved_box() {
         let bbox = BoundingBox::new(10.0, 20.0, 50.0, 40.0);
-        let motion = Motion { shift: [5.0, -2.0], scale: 1.5 };
+        let motion = BoxMotion { shift: [5.0, -2.0], scale: 1.5 };
         let (moved, of_moved) =
             (View::of(&bbox, BOX).moved(motion), View::of(&motion.apply(&bbox), BOX));
         assert_eq!(moved.center, of_moved.center);

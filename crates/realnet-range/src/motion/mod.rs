@@ -5,7 +5,8 @@
 //!
 //! 1. **On the frame of the depth map**, corners (Shi-Tomasi) are lifted to points
 //!    by their depth. Those inside the target's [`ForegroundGate`] are the target's,
-//!    those outside of its box or behind it the background's.
+//!    those well outside of its box the background's (if they are few, those behind
+//!    the target too: flow is disturbed near another body).
 //! 2. **In each later frame** they are looked for by pyramidal Lucas-Kanade, from
 //!    where the motion so far predicts them; if that fails from where they were
 //!    last, and if that fails too from where a search of a small picture finds them.

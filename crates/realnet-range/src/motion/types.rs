@@ -94,7 +94,8 @@ pub enum MotionError {
         /// Width and height of the camera.
         camera: (u32, u32),
     },
-    /// A frame that is not later than the one before.
+    /// A frame that is not later than the one before. Where time starts again, as
+    /// when a recording is played once more, so does a new tracker.
     #[error("a frame of {} s after one of {} s: frames come in order", .found.secs_f64(), .last.secs_f64())]
     Order {
         /// Stamp of the frame.
@@ -340,8 +341,8 @@ impl Motion {
 pub struct Velocity {
     /// Linear velocity in m/s, then angular in rad/s.
     pub twist: Vector6<f64>,
-    /// Covariance of `twist`. To first order in the angle turned between the two
-    /// frames.
+    /// Covariance of `twist`, for small angles turned between the two frames: the
+    /// Jacobian of the logarithm is taken as 1.
     pub covariance: Matrix6<f64>,
 }
 

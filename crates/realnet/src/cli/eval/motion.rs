@@ -280,7 +280,7 @@ fn table(figures: &Figures) -> String {
         figures.rpe_pairs
     ));
     lines.push(format!(
-        "{} a frame (median: corners and motion {}, warping {}); a depth map's frame {}",
+        "{} a frame (median: corners and motion {}, warping {}); corners of a new depth map {}",
         value(figures.ms_per_frame, 2, " ms"),
         value(figures.ms_motion, 2, " ms"),
         value(figures.ms_warp, 2, " ms"),

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use realnet::{BoundingBox, Detection, Detector, Frame, Stamp, datasets::TargetBoxes};
-use realnet_range::carry::{BoxCarrier, Carried, CarriedPoint, CarryOptions, Motion};
+use realnet_range::carry::{BoxCarrier, BoxMotion, Carried, CarriedPoint, CarryOptions};
 use realnet_vision::Pyramid;
 use serde::Serialize;
 
@@ -61,7 +61,7 @@ pub(super) struct State {
 struct Known {
     bbox: BoundingBox,
     /// Of the last step, which took so many seconds.
-    motion: Motion,
+    motion: BoxMotion,
     seconds: f64,
     stamp: Stamp,
     /// The picture of that frame, when it is not the previous one.
@@ -70,14 +70,14 @@ struct Known {
 
 impl Known {
     /// The motion to the time `stamp` at the speed of the last step.
-    fn prediction(&self, stamp: Stamp) -> Motion {
+    fn prediction(&self, stamp: Stamp) -> BoxMotion {
         let ratio = (stamp.seconds_since(self.stamp) / self.seconds) as f32;
         // Far beyond the last step nothing is known; the first step has no speed.
         if !(0.0..=8.0).contains(&ratio) {
-            return Motion::NONE;
+            return BoxMotion::NONE;
         }
-        let Motion { shift, scale } = self.motion;
-        Motion { shift: shift.map(|v| v * ratio), scale: scale.powf(ratio).clamp(0.5, 2.0) }
+        let BoxMotion { shift, scale } = self.motion;
+        BoxMotion { shift: shift.map(|v| v * ratio), scale: scale.powf(ratio).clamp(0.5, 2.0) }
     }
 }
 
@@ -143,7 +143,14 @@ impl Target {
         };
         let from = known.picture.as_ref().unwrap_or(previous);
         let prediction = known.prediction(present.stamp());
-        match self.carrier.carry(from, present, &known.bbox, prediction) {
+        // A target that stopped is not where its speed would have taken it.
+        let carried = self.carrier.carry(from, present, &known.bbox, prediction).or_else(|error| {
+            match prediction {
+                BoxMotion::NONE => Err(error),
+                _ => self.carrier.carry(from, present, &known.bbox, BoxMotion::NONE),
+            }
+        });
+        match carried {
             Ok(carried) => {
                 self.state = State {
                     status: Some(Status::Carried),
@@ -165,7 +172,7 @@ impl Target {
         }
     }
 
-    fn keep(&mut self, bbox: BoundingBox, motion: Motion, seconds: f64, stamp: Stamp) {
+    fn keep(&mut self, bbox: BoundingBox, motion: BoxMotion, seconds: f64, stamp: Stamp) {
         self.last = Some(bbox);
         self.known = Some(Known { bbox, motion, seconds, stamp, picture: None });
     }
@@ -199,9 +206,9 @@ impl Target {
             // Of a box that was somewhere else, speed is not known.
             let speed = self.known.as_ref().map(|known| (known.motion, known.seconds));
             let (motion, seconds) =
-                speed.filter(|_| self.state.carried.is_some()).unwrap_or((Motion::NONE, 0.0));
-            let boxes = matches!(self.finder, Finder::Boxes(_));
-            self.state.iou = boxes.then_some(1.0);
+                speed.filter(|_| self.state.carried.is_some()).unwrap_or((BoxMotion::NONE, 0.0));
+            // A box that was given is not one that was followed.
+            self.state.iou = None;
             self.state.status = Some(status);
             self.state.bbox = Some(bbox);
             self.state.confidence = confidence;

@@ -56,7 +56,7 @@ pub(super) struct Figures {
     /// Corners, flow and motion; medians.
     pub(super) ms_motion: Option<f64>,
     pub(super) ms_warp: Option<f64>,
-    /// The frame of a given depth map, all in all.
+    /// Corners found on a given map, and lifted.
     pub(super) ms_key: Option<f64>,
     pub(super) protocol: String,
 }
