@@ -8,7 +8,7 @@
 mod scene;
 
 use divan::Bencher;
-use realnet_core::DepthMap;
+use realnet_core::{DepthMap, Frame};
 use realnet_range::motion::MotionTracker;
 use scene::drive::Drive;
 
@@ -44,6 +44,22 @@ fn motions_and_target(bencher: Bencher<'_, '_>, size: (u32, u32)) {
         tracker.estimate();
         tracker.target_depth_now(out).unwrap();
     });
+}
+
+/// The worst frame: nothing is found again, after all ways were tried.
+#[divan::bench(args = SIZES)]
+fn lost(bencher: Bencher<'_, '_>, size: (u32, u32)) {
+    let run = Drive::new(size);
+    let mut lap = run.lap();
+    lap.push();
+    lap.tracker.estimate();
+    lap.push();
+    lap.tracker.estimate();
+    let stamp = run.frames[3].stamp();
+    let noise = |i: u32| (i.wrapping_mul(0x9E37_79B9) >> 24) as u8;
+    let grey = (0..size.0 * size.1).map(noise).collect();
+    lap.tracker.push(&Frame::grey8(stamp, size.0, size.1, grey).unwrap()).unwrap();
+    bencher.bench_local(|| assert!(lap.tracker.estimate().background.is_err()));
 }
 
 /// The frame of a depth map: corners found and lifted.

@@ -5,7 +5,7 @@ use crate::motion::{BodyMotion, MotionError, MotionFailure, MotionOptions, Start
 use realnet_core::nalgebra::{Point3, UnitQuaternion, Vector6};
 use realnet_core::{CameraModel, Pose, Stamp};
 use realnet_pose::{Correspondences, PnpError, PnpSolver, RansacOptions};
-use realnet_vision::{FlowError, LucasKanade, Pyramid, Track, TrackStatus};
+use realnet_vision::{FlowError, FlowOptions, LucasKanade, Pyramid, Track, TrackStatus};
 
 /// Corners below which no motion is looked for: those of the smallest problem
 /// that the solver accepts, without and with a rotation to go by.
@@ -21,6 +21,12 @@ const FINE_SAMPLES: usize = 500;
 /// over. After a longer gap the body may have stopped, and where texture repeats a
 /// wrong prediction finds the wrong repetition.
 const HORIZON: f64 = 0.2;
+
+/// The highest level of flow from a predicted place.
+const NEAR_LEVEL: usize = 1;
+/// Share of the corners that must agree with a motion found so; fewer of them are no
+/// reason to fail, but to look again on all levels.
+const NEAR_SHARE: f64 = 0.6;
 
 /// One rigid body.
 #[derive(Clone, Debug)]
@@ -64,6 +70,27 @@ impl Past {
         let rests = self.rate == Vector6::zeros();
         let fresh = rests || seconds <= HORIZON.max(2.0 * self.step);
         fresh.then(|| Pose::exp(&(self.rate * seconds)) * self.now_from_then)
+    }
+}
+
+/// How corners are looked for.
+#[derive(Clone, Debug)]
+pub(super) struct Flows {
+    /// On the lower levels alone, at half the cost: when they are where predicted.
+    near: LucasKanade,
+    /// On all levels.
+    far: LucasKanade,
+}
+
+impl Flows {
+    pub(super) fn new(options: FlowOptions) -> Result<Self, FlowError> {
+        let max_level = options.max_level.min(NEAR_LEVEL);
+        let near = LucasKanade::new(FlowOptions { max_level, ..options })?;
+        Ok(Self { near, far: LucasKanade::new(options)? })
+    }
+
+    pub(super) fn pyramid(&self) -> Pyramid {
+        self.far.pyramid()
     }
 }
 
@@ -167,7 +194,7 @@ impl Body {
     pub(super) fn estimate(
         &mut self,
         pictures: &Pictures<'_>,
-        flow: &mut LucasKanade,
+        flows: &mut Flows,
         search: &mut ShiftSearch,
         held: Option<Held>,
     ) -> Result<BodyMotion, MotionFailure> {
@@ -182,8 +209,17 @@ impl Body {
         let seconds = pictures.now.stamp().seconds_since(self.past.stamp);
         let last = self.past.now_from_then;
         let predicted = self.past.predicted(seconds);
+        let Flows { near, far } = flows;
+        let flow = far;
         let mut answer = match &predicted {
-            Some(predicted) => self.attempt(pictures, flow, Start::Predicted, predicted),
+            Some(predicted) => {
+                let close = self.attempt(pictures, near, Start::Predicted, predicted);
+                let many = NEAR_SHARE * self.len() as f64;
+                match close {
+                    Ok(motion) if motion.estimate.inliers as f64 >= many => Ok(motion),
+                    _ => self.attempt(pictures, flow, Start::Predicted, predicted),
+                }
+            }
             None => self.attempt(pictures, flow, Start::Last, &last),
         };
         // The reason that is given is the last attempt's, as are the tracks.

@@ -1,14 +1,14 @@
 //! The fast path from frame to frame.
 
 use crate::cues::ForegroundGate;
-use crate::motion::body::{Body, Held, Pictures};
+use crate::motion::body::{Body, Flows, Held, Pictures};
 use crate::motion::key::KeyFinder;
 use crate::motion::shift::ShiftSearch;
 use crate::motion::{KeySummary, Motion, MotionError, MotionFailure, MotionOptions};
 use realnet_core::nalgebra::Point3;
 use realnet_core::{CameraModel, DepthMap, Frame, Pose, Stamp};
 use realnet_pose::{DepthWarper, WarpRegion};
-use realnet_vision::{FlowError, LucasKanade, Pyramid, Track};
+use realnet_vision::{FlowError, Pyramid, Track};
 
 /// Follows the corners of a depth map's frame into the present frame; see the
 /// [module](super).
@@ -17,8 +17,8 @@ pub struct MotionTracker {
     options: MotionOptions,
     camera: CameraModel,
     finder: KeyFinder,
-    flow: LucasKanade,
-    target_flow: LucasKanade,
+    flow: Flows,
+    target_flow: Flows,
     search: ShiftSearch,
     then: Pyramid,
     kept: Pyramid,
@@ -67,8 +67,8 @@ impl MotionTracker {
                 return Err(MotionError::Option { name, value, rule: "at least 0" });
             }
         }
-        let flow = LucasKanade::new(options.flow)?;
-        let target_flow = LucasKanade::new(options.target_flow)?;
+        let flow = Flows::new(options.flow)?;
+        let target_flow = Flows::new(options.target_flow)?;
         let (own, most) = (options.target_flow.window.size(), options.flow.window.size());
         if own.0 > most.0 || own.1 > most.1 {
             return Err(FlowError::PyramidWindow { expected: own, found: most }.into());
