@@ -1,7 +1,9 @@
-//! After the first frame no cue allocates. One test in a process of its own,
-//! because it counts what the whole process asks for.
+//! After the first frame no cue allocates.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
+mod counting;
+
+use counting::count;
 use realnet_core::nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use realnet_core::{BoundingBox, CameraModel, DepthMap, Distortion, Intrinsics, Pose, Stamp};
 use realnet_range::cues::{
@@ -9,29 +11,6 @@ use realnet_range::cues::{
     GroundRange, PitchFilter, PitchFilterOptions, RangeCue, SigmaRule, SizeRange, Uncertain,
     attitude_from_horizon, disagreements, pitch_from_translation,
 };
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(memory, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 #[test]
 fn the_steady_state_does_not_allocate() {
@@ -75,9 +54,9 @@ fn the_steady_state_does_not_allocate() {
         assert_eq!(disagreements(&cues, 3.0).count(), 0, "{cues:?}");
     };
     frame();
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let before = count();
     for _ in 0..5 {
         frame();
     }
-    assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0);
+    assert_eq!(count() - before, 0);
 }

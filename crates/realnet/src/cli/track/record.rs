@@ -212,7 +212,8 @@ impl Summary {
             let _ = write!(line, "; box carried in {carried} frames, lost in {lost}");
         }
         if *compared > 0 {
-            let _ = write!(line, "; IoU at least 0.5 in {overlapping} of {compared} frames followed");
+            let _ =
+                write!(line, "; IoU at least 0.5 in {overlapping} of {compared} frames followed");
         }
         line
     }
