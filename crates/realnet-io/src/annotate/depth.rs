@@ -49,9 +49,9 @@ pub fn depth_error_colors(
     Frame::rgb8(truth.stamp(), truth.width(), truth.height(), data)
 }
 
-/// Turbo, 0 blue to 1 red.
+/// Turbo, 0 blue to 1 red, without its nearly black end.
 fn turbo(share: f32) -> [u8; 3] {
-    let x = share.clamp(0.0, 1.0);
+    let x = 0.06 + 0.94 * share.clamp(0.0, 1.0);
     let polynomial = |c: [f32; 6]| c.iter().rev().fold(0.0, |sum, c| sum * x + c);
     let red = [0.135_721, 4.615_393, -42.660_32, 132.131_08, -152.942_4, 59.286_38];
     let green = [0.091_403, 2.194_188, 4.842_967, -14.185_033, 4.277_299, 2.829_566];
