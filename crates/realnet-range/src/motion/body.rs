@@ -27,6 +27,10 @@ const NEAR_LEVEL: usize = 1;
 /// Share of the corners that must agree with a motion found so; fewer of them are no
 /// reason to fail, but to look again on all levels.
 const NEAR_SHARE: f64 = 0.6;
+/// Share of the corners found so below which the prediction is given up.
+const HOPE: f64 = 0.2;
+/// Most steps of flow a level from a predicted place.
+const NEAR_STEPS: u32 = 10;
 
 /// One rigid body.
 #[derive(Clone, Debug)]
@@ -85,7 +89,8 @@ pub(super) struct Flows {
 impl Flows {
     pub(super) fn new(options: FlowOptions) -> Result<Self, FlowError> {
         let max_level = options.max_level.min(NEAR_LEVEL);
-        let near = LucasKanade::new(FlowOptions { max_level, ..options })?;
+        let max_iterations = options.max_iterations.min(NEAR_STEPS);
+        let near = LucasKanade::new(FlowOptions { max_level, max_iterations, ..options })?;
         Ok(Self { near, far: LucasKanade::new(options)? })
     }
 
@@ -211,21 +216,23 @@ impl Body {
         let predicted = self.past.predicted(seconds);
         let Flows { near, far } = flows;
         let flow = far;
+        let many = NEAR_SHARE * self.len() as f64;
+        // The reason that is given is the last attempt's, as are the tracks.
         let mut answer = match &predicted {
             Some(predicted) => {
                 let close = self.attempt(pictures, near, Start::Predicted, predicted);
-                let many = NEAR_SHARE * self.len() as f64;
+                let found = self.places.len() as f64 / self.len() as f64;
                 match close {
                     Ok(motion) if motion.estimate.inliers as f64 >= many => Ok(motion),
+                    // Where next to nothing is found the prediction is to blame.
+                    Err(_) if found < HOPE && *predicted != last => {
+                        self.attempt(pictures, flow, Start::Last, &last)
+                    }
                     _ => self.attempt(pictures, flow, Start::Predicted, predicted),
                 }
             }
             None => self.attempt(pictures, flow, Start::Last, &last),
         };
-        // The reason that is given is the last attempt's, as are the tracks.
-        if answer.is_err() && predicted.is_some_and(|predicted| predicted != last) {
-            answer = self.attempt(pictures, flow, Start::Last, &last);
-        }
         if answer.is_err() {
             let shift = search.run(pictures.then, pictures.now, &self.pixels);
             if let Some(shift) = shift {
