@@ -129,14 +129,12 @@ impl DepthWarper {
         out.set_stamp(stamp);
         self.buffer.fill(f32::INFINITY);
         let (width, height) = (expected.0 as usize, expected.1 as usize);
-        let columns = |r: &WarpRegion| {
-            let end = (r.end.0 as usize).min(width);
-            (r.start.0 as usize).min(end)..end
+        let span = |start: u32, end: u32, size: usize| {
+            let end = (end as usize).min(size);
+            (start as usize).min(end)..end
         };
-        let rows = |r: &WarpRegion| {
-            let end = (r.end.1 as usize).min(height);
-            (r.start.1 as usize).min(end)..end
-        };
+        let columns = |r: &WarpRegion| span(r.start.0, r.end.0, width);
+        let rows = |r: &WarpRegion| span(r.start.1, r.end.1, height);
         let mut touched = Touched::NONE;
         for y in 0..height {
             let target = target.filter(|r| rows(r).contains(&y));

@@ -215,7 +215,6 @@ impl Body {
         let last = self.past.now_from_then;
         let predicted = self.past.predicted(seconds);
         let Flows { near, far } = flows;
-        let flow = far;
         let many = NEAR_SHARE * self.len() as f64;
         // The reason that is given is the last attempt's, as are the tracks.
         let mut answer = match &predicted {
@@ -226,12 +225,12 @@ impl Body {
                     Ok(motion) if motion.estimate.inliers as f64 >= many => Ok(motion),
                     // Where next to nothing is found the prediction is to blame.
                     Err(_) if found < HOPE && *predicted != last => {
-                        self.attempt(pictures, flow, Start::Last, &last)
+                        self.attempt(pictures, far, Start::Last, &last)
                     }
-                    _ => self.attempt(pictures, flow, Start::Predicted, predicted),
+                    _ => self.attempt(pictures, far, Start::Predicted, predicted),
                 }
             }
-            None => self.attempt(pictures, flow, Start::Last, &last),
+            None => self.attempt(pictures, far, Start::Last, &last),
         };
         if answer.is_err() {
             let shift = search.run(pictures.then, pictures.now, &self.pixels);
@@ -239,7 +238,7 @@ impl Body {
                 self.initial.clear();
                 let moved = self.pixels.iter().map(|p| [p[0] + shift[0], p[1] + shift[1]]);
                 self.initial.extend(moved);
-                answer = self.follow(pictures, flow, Start::Search, &last);
+                answer = self.follow(pictures, far, Start::Search, &last);
             }
         }
         if let Ok(motion) = &answer {

@@ -265,6 +265,15 @@ impl MotionTracker {
         self.target.points()
     }
 
+    /// The motions to the present frame, and the map they start from.
+    fn estimated(&mut self) -> Result<(&Motion, &mut Depth), MotionFailure> {
+        match (&self.motion, &mut self.depth) {
+            (Some(motion), Some(depth)) => Ok((motion, depth)),
+            (_, None) => Err(MotionFailure::NoDepth),
+            (None, _) => Err(MotionFailure::NotEstimated),
+        }
+    }
+
     /// The depth map as it is now: warped by the motions of the last
     /// [`MotionTracker::estimate`]. Where the target's motion is unknown, the pixels
     /// that it covered are unknown.
@@ -274,11 +283,7 @@ impl MotionTracker {
     /// map is, and `out` is left as it was. [`MotionError::Warp`] when `out` is not of the
     /// depth map's size.
     pub fn depth_now(&mut self, out: &mut DepthMap) -> Result<(), MotionError> {
-        let (motion, depth) = match (&self.motion, &mut self.depth) {
-            (Some(motion), Some(depth)) => (motion, depth),
-            (_, None) => return Err(MotionFailure::NoDepth.into()),
-            (None, _) => return Err(MotionFailure::NotEstimated.into()),
-        };
+        let (motion, depth) = self.estimated()?;
         let background = match &motion.background {
             Ok(background) => background.now_from_then(),
             Err(failure) => return Err(failure.clone().into()),
@@ -296,11 +301,7 @@ impl MotionTracker {
     /// # Errors
     /// As [`MotionTracker::depth_now`], for the target's motion.
     pub fn target_depth_now(&mut self, out: &mut DepthMap) -> Result<(), MotionError> {
-        let (motion, depth) = match (&self.motion, &mut self.depth) {
-            (Some(motion), Some(depth)) => (motion, depth),
-            (_, None) => return Err(MotionFailure::NoDepth.into()),
-            (None, _) => return Err(MotionFailure::NotEstimated.into()),
-        };
+        let (motion, depth) = self.estimated()?;
         let (target, gate) = match (&motion.target, depth.gate) {
             (Some(Ok(target)), Some(gate)) => (target.now_from_then(), gate),
             (Some(Err(failure)), _) => return Err(failure.clone().into()),
