@@ -2,6 +2,7 @@
 //! without a search, accepted or refused.
 #![allow(missing_docs, clippy::unwrap_used)]
 
+#[path = "../../realnet-core/tests/counting/mod.rs"]
 mod counting;
 
 use counting::count;

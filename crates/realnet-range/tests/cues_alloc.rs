@@ -1,6 +1,7 @@
 //! After the first frame no cue allocates.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
+#[path = "../../realnet-core/tests/counting/mod.rs"]
 mod counting;
 
 use counting::count;

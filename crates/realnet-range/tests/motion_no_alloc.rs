@@ -2,6 +2,7 @@
 //! searched or lost, and when the next depth map comes.
 #![allow(missing_docs, clippy::unwrap_used)]
 
+#[path = "../../realnet-core/tests/counting/mod.rs"]
 mod counting;
 mod scene;
 
