@@ -14,6 +14,9 @@
 //! | [`CameraModel`] | pinhole camera with lens distortion, `f64` |
 //! | [`CameraCalibration`] | a named camera, read from and written to ROS YAML |
 //! | [`Pose`] | a rigid transform, named `a_from_b` |
+//! | [`Pose2`] | a rigid transform of the ground plane |
+//! | [`TargetState`] | where the target is, seen from the robot, or that it is unknown |
+//! | [`DriveCommand`] | speed and steering, or a stop with its [`StopReason`] |
 //!
 //! Frames of reference follow REP-103 and REP-105: a body has x forward, y
 //! left, z up; a camera's *optical* frame has z forward, x right, y down.
@@ -32,7 +35,9 @@ mod bbox;
 mod camera;
 mod depth;
 mod detection;
+mod drive;
 mod frame;
+mod plane;
 mod pose;
 mod stamp;
 
@@ -42,7 +47,9 @@ pub use camera::{
 };
 pub use depth::{DepthMap, DepthMapError};
 pub use detection::Detection;
+pub use drive::{DriveCommand, StopReason, TargetEstimate, TargetState, TrackStatus};
 pub use frame::{Frame, FrameError, PixelFormat};
+pub use plane::Pose2;
 pub use pose::{Pose, PoseError, body_from_optical};
 pub use stamp::Stamp;
 

@@ -1,0 +1,1 @@
+//! Pure pursuit, speed control, limits and a governor that stops.

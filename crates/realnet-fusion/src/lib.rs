@@ -1,0 +1,1 @@
+//! A Kalman filter with late measurements, and the target's state in time.

@@ -1,0 +1,1 @@
+//! The stages of RealNet wired together: frames in, commands out.
