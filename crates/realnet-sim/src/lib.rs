@@ -1,7 +1,9 @@
 //! A world with ground truth: rooms, cars, camera, latency and faults.
 
 mod log;
+mod metrics;
 mod vehicle;
 
-pub use log::{DepthMapLog, FrameLog, RunLog, StopLog};
+pub use log::{BodyLog, DepthMapLog, DetectionLog, FrameLog, RunLog, StopLog};
+pub use metrics::{CueFigures, RunFigures};
 pub use vehicle::{VehicleKind, VehicleSize, VehicleState};

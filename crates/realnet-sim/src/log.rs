@@ -1,5 +1,7 @@
 //! What is written down during a run.
 
+use crate::VehicleSize;
+use realnet_core::nalgebra::Vector2;
 use realnet_core::{Pose2, StopReason, TrackStatus};
 
 /// A run, frame by frame: what its figures, its report and comparisons with other
@@ -18,8 +20,16 @@ pub struct RunLog {
     pub frames: Vec<FrameLog>,
     /// Depth maps of the network that arrived, in the order of arrival.
     pub depth_maps: Vec<DepthMapLog>,
+    /// Detections that arrived, in the order of arrival.
+    pub detections: Vec<DetectionLog>,
     /// When the follower stopped, and when it went on.
     pub stops: Vec<StopLog>,
+    /// Footprint of the follower.
+    pub follower_size: Option<VehicleSize>,
+    /// Footprint of the target; `None` also when there is no target.
+    pub target_size: Option<VehicleSize>,
+    /// What else stands or drives about: walls, obstacles, other vehicles.
+    pub bodies: Vec<BodyLog>,
 }
 
 /// One camera frame of a run.
@@ -40,15 +50,21 @@ pub struct FrameLog {
     /// State of the track.
     pub status: TrackStatus,
     /// Free space between the follower's front and the target, along the line
-    /// between them, metres: what the follower is asked to keep.
+    /// between them, metres: what the follower is asked to keep. Not finite when
+    /// there is no target.
     pub gap_m: f64,
-    /// Least distance between the follower's footprint and any other body, metres.
+    /// Least distance between the follower's footprint and any other body, metres;
+    /// 0 or less: they touch. Infinite when there is none.
     pub clearance_m: f64,
     /// Distance of the follower's rear axle from the target's path, metres,
-    /// positive: the follower is left of it.
+    /// positive: the follower is left of it. Not finite when there is no target.
     pub lateral_m: f64,
     /// Speed that is commanded, m/s.
     pub speed_command: f64,
+    /// The highest speed that was allowed, m/s: the least of all its bounds.
+    pub speed_limit: Option<f64>,
+    /// Name of the bound that is that least one, when it held the speed down.
+    pub limited_by: Option<&'static str>,
     /// Steering angle that is commanded, radians.
     pub steering_command: f64,
     /// Speed of the follower, m/s.
@@ -74,6 +90,29 @@ pub struct DepthMapLog {
     pub arrived_s: f64,
     /// Depth in the target's box, metres.
     pub range_m: Option<f64>,
+}
+
+/// An answer of the detector about one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DetectionLog {
+    /// Exposure time of its frame.
+    pub time_s: f64,
+    /// When it arrived.
+    pub arrived_s: f64,
+    /// Whether it found the target.
+    pub found: bool,
+}
+
+/// Something that stands or drives about besides the follower and its target.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BodyLog {
+    /// What it is, in a word or two.
+    pub name: String,
+    /// Corners of its footprint, in its own frame, metres.
+    pub outline: Vec<Vector2<f64>>,
+    /// Where it is, one pose for each frame of the run; a single one for what
+    /// does not move.
+    pub poses: Vec<Pose2>,
 }
 
 /// A stop.
