@@ -122,6 +122,12 @@ impl MotionTracker {
         Ok(())
     }
 
+    /// The present frame as a pyramid, for others that look at the same pictures.
+    #[must_use]
+    pub fn picture(&self) -> &Pyramid {
+        &self.now
+    }
+
     /// Keeps the present frame: its depth map is to come. A frame kept before, whose
     /// depth map did not come, is forgotten. Without effect before the first frame.
     pub fn keep(&mut self) {

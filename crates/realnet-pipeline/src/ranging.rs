@@ -1,0 +1,405 @@
+//! Metres to the target: the depth map's when one comes, the fast path's between.
+
+use crate::odometry::CameraMount;
+use crate::sight::TargetBox;
+use realnet_core::nalgebra::{Point3, Vector6};
+use realnet_core::{BoundingBox, CameraModel, DepthMap, Frame, Stamp};
+use realnet_range::cues::{
+    BoxDepth, DepthInBox, DepthInBoxError, DepthInBoxOptions, DepthNoise, GroundFit,
+    GroundFitOptions, GroundPlane, GroundPrior, GroundRange, OptionError, PeakRule, PitchFilter,
+    PitchFilterOptions, SigmaRule, Uncertain, pitch_from_translation,
+};
+use realnet_range::motion::{BodyMotion, Motion, MotionError, MotionOptions, MotionTracker};
+use realnet_vision::Pyramid;
+use thiserror::Error;
+
+/// How far the axle heaves between a depth map's frame and the present one, metres.
+const HEAVE_STD_M: f64 = 0.002;
+/// A box must not reach within this of the picture's edge for its height to be known.
+const BORDER_PX: f32 = 2.0;
+
+/// How ranges are found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RangingOptions {
+    /// The camera's and the target's motion since the depth map.
+    pub motion: MotionOptions,
+    /// The depth of the target in its box.
+    pub depth_in_box: DepthInBoxOptions,
+    /// Standard deviation of the depth network's scale from map to map, as a share.
+    pub map_std: f64,
+    /// Standard deviation of the mount's pitch, radians.
+    pub pitch_std_rad: f64,
+    /// Standard deviation of the camera's height, as a share.
+    pub height_std: f64,
+    /// Whether the scale of a depth map is corrected by the ground in it: the
+    /// camera's height above it is known.
+    pub scale_by_ground: bool,
+    /// Whether the target's foot on the ground is a range of its own.
+    pub ground_range: bool,
+}
+
+impl Default for RangingOptions {
+    fn default() -> Self {
+        Self {
+            motion: MotionOptions::default(),
+            depth_in_box: DepthInBoxOptions::default(),
+            map_std: 0.1,
+            pitch_std_rad: 0.01,
+            height_std: 0.02,
+            scale_by_ground: true,
+            ground_range: true,
+        }
+    }
+}
+
+/// Why ranging cannot start.
+#[derive(Debug, Error)]
+pub enum RangingError {
+    /// An option of the fast path.
+    #[error(transparent)]
+    Motion(#[from] MotionError),
+    /// An option of a cue.
+    #[error(transparent)]
+    Option(#[from] OptionError),
+}
+
+/// A place of the target in the robot's base frame, seen in one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenRange {
+    /// The frame.
+    pub stamp: Stamp,
+    /// Depth along the optical axis, metres.
+    pub depth_m: f64,
+    /// Metres ahead of the camera, in the plane.
+    pub forward_m: f64,
+    /// Standard deviation of either as a share, without what is common to all ranges
+    /// of one source.
+    pub std_share: f64,
+}
+
+/// What a depth map says about the target and the ground.
+#[derive(Clone, Copy, Debug)]
+pub struct MapRange {
+    /// The range as the network gives it.
+    pub seen: SeenRange,
+    /// Standard deviation of the map's scale after the ground corrected it, as a share.
+    pub scale_std: f64,
+    /// Factor that the ground corrected the map's depths by; `seen` has it in it.
+    pub correction: f64,
+}
+
+/// The map that fast ranges start from.
+#[derive(Clone, Copy, Debug)]
+struct Key {
+    stamp: Stamp,
+    /// The target's middle on the map's frame, optical frame, metres, as the network
+    /// gives it.
+    point: Point3<f64>,
+    bbox: BoundingBox,
+    whole: bool,
+    scale_std: f64,
+    correction: f64,
+}
+
+/// Turns frames, boxes and depth maps into ranges.
+pub struct Ranging {
+    options: RangingOptions,
+    camera: CameraModel,
+    mount: CameraMount,
+    tracker: MotionTracker,
+    depth_in_box: DepthInBox,
+    ground_fit: GroundFit,
+    pitch: PitchFilter,
+    /// Of the last frame: the map's frame, and the background's rotation since.
+    before: Option<(Stamp, Stamp, realnet_core::Pose)>,
+    key: Option<Key>,
+}
+
+impl Ranging {
+    /// Before the first frame.
+    ///
+    /// # Errors
+    /// [`RangingError`] for options out of range.
+    pub fn new(
+        camera: &CameraModel,
+        mount: &CameraMount,
+        options: RangingOptions,
+    ) -> Result<Self, RangingError> {
+        let pitch = Uncertain::new(mount.pitch_rad, options.pitch_std_rad);
+        let filter = PitchFilterOptions { floor_std_rad: 0.003, ..PitchFilterOptions::default() };
+        let motion = MotionOptions { scale_std: options.map_std, ..options.motion };
+        Ok(Self {
+            options,
+            camera: *camera,
+            mount: *mount,
+            tracker: MotionTracker::new(camera, motion)?,
+            depth_in_box: DepthInBox::new(options.depth_in_box)?,
+            ground_fit: GroundFit::new(GroundFitOptions::default())?,
+            pitch: PitchFilter::new(pitch, filter)?,
+            before: None,
+            key: None,
+        })
+    }
+
+    /// Takes a frame and finds the motion since the depth map's.
+    ///
+    /// # Errors
+    /// [`MotionError`] for a frame of another size or out of order; it is left out.
+    pub fn frame(&mut self, frame: &Frame) -> Result<&Motion, MotionError> {
+        self.tracker.push(frame)?;
+        let motion = self.tracker.estimate();
+        nod(&mut self.pitch, &mut self.before, motion);
+        Ok(motion)
+    }
+
+    /// The present frame goes to the depth network.
+    pub fn keep(&mut self) {
+        self.tracker.keep();
+    }
+
+    /// The present frame.
+    #[must_use]
+    pub fn picture(&self) -> &Pyramid {
+        self.tracker.picture()
+    }
+
+    /// The motion since the depth map's frame.
+    #[must_use]
+    pub fn motion(&self) -> Option<&Motion> {
+        self.tracker.motion()
+    }
+
+    /// Pitch of the camera against the ground, radians, positive: nose down.
+    #[must_use]
+    pub fn pitch_rad(&self) -> Uncertain {
+        self.pitch.pitch_rad()
+    }
+
+    /// Takes a depth map; `at` is the target's box on its frame, `expected` its range
+    /// there as far as known, with deviation, metres.
+    ///
+    /// # Errors
+    /// [`MotionError::NotKept`] for a map of another frame than the one kept.
+    pub fn depth(
+        &mut self,
+        map: &DepthMap,
+        at: Option<TargetBox>,
+        expected: Option<(f64, f64)>,
+    ) -> Result<Option<MapRange>, MotionError> {
+        let (sx, sy) = (
+            map.width() as f32 / self.camera.width() as f32,
+            map.height() as f32 / self.camera.height() as f32,
+        );
+        let scaled = at.map(|at| {
+            let b = at.bbox;
+            BoundingBox::new(b.x0 * sx, b.y0 * sy, b.x1 * sx, b.y1 * sy)
+        });
+        let found = scaled.and_then(|bbox| self.in_box(map, bbox, expected).ok());
+        let gate = found.and_then(|_| self.depth_in_box.foreground(&SigmaRule::default()).ok());
+        self.tracker.set_depth(map, gate.map(|foreground| foreground.gate).as_ref())?;
+        self.before = None;
+        let (correction, scale_std) = self.scale(map, scaled);
+        self.key = None;
+        let (Some(found), Some(at)) = (found, at) else { return Ok(None) };
+        let Some(point) = self.lift(&at.bbox, found.depth_m) else { return Ok(None) };
+        self.key = Some(Key {
+            stamp: map.stamp(),
+            point,
+            bbox: at.bbox,
+            whole: self.is_whole(&at.bbox),
+            scale_std,
+            correction,
+        });
+        // What is random in it is common to all that starts from it.
+        let scale_std = scale_std.hypot(found.random_m.hypot(found.interval_m) / found.depth_m);
+        if let Some(key) = &mut self.key {
+            key.scale_std = scale_std;
+        }
+        let seen = self.seen(map.stamp(), Point3::from(point.coords * correction), 0.005);
+        Ok(Some(MapRange { seen, scale_std, correction }))
+    }
+
+    fn in_box(
+        &mut self,
+        map: &DepthMap,
+        bbox: BoundingBox,
+        expected: Option<(f64, f64)>,
+    ) -> Result<BoxDepth, DepthInBoxError> {
+        let peak = match expected {
+            // Networks err in scale: a third more or less is no surprise.
+            Some((depth_m, std_m)) if depth_m > 0.0 && std_m.is_finite() => {
+                PeakRule::Expected { depth_m, std_m: std_m.hypot(0.3 * depth_m) }
+            }
+            _ => PeakRule::Highest,
+        };
+        self.depth_in_box.set_peak(peak)?;
+        self.depth_in_box.measure(map, bbox, DepthNoise::NONE)
+    }
+
+    /// The factor on a map's depths by the ground in it, and what deviation its
+    /// scale has then.
+    fn scale(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> (f64, f64) {
+        let alone = (1.0, self.options.map_std);
+        let Some(plane) = self.fit_ground(map, target) else { return alone };
+        let measurement = plane.measurement();
+        // A refused one disagrees with all that is known; a restart is the filter's
+        // own affair.
+        let accepted = self.pitch.update(&measurement).is_ok_and(|update| update.accepted);
+        if !(self.options.scale_by_ground && accepted) {
+            return alone;
+        }
+        let height = plane.camera_height_m;
+        let log = (self.mount.height_m / height.value).ln();
+        let std = (height.std / height.value).hypot(self.options.height_std);
+        if !(log.is_finite() && std.is_finite()) {
+            return alone;
+        }
+        // The product of both: scale 1 with the network's deviation, and the ground's.
+        let (network, ground) = (self.options.map_std.powi(-2), std.powi(-2));
+        let share = ground / (network + ground);
+        ((share * log).exp(), (network + ground).powf(-0.5))
+    }
+
+    fn fit_ground(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> Option<GroundPlane> {
+        let camera = self.camera.scaled(map.width(), map.height()).ok()?;
+        let Uncertain { value, std } = self.pitch.pitch_rad();
+        let prior = GroundPrior {
+            camera_height_m: Uncertain::new(
+                self.mount.height_m,
+                self.mount.height_m * 2.0 * self.options.map_std,
+            ),
+            pitch_rad: Uncertain::new(value, std.max(0.02)),
+            roll_rad: Uncertain::new(0.0, 0.01),
+        };
+        let exclude = target.as_slice();
+        self.ground_fit.fit(map, &camera, exclude, &prior, DepthNoise::new(0.0, 0.02)).ok()
+    }
+
+    /// The range in the present frame: the map's, moved by the target's motion. The
+    /// map's scale is common to all such ranges of one map; it is not in
+    /// [`SeenRange::std_share`]. With it the map's stamp and its scale's deviation.
+    #[must_use]
+    pub fn fast(&self, present: Option<&TargetBox>) -> Option<(SeenRange, Stamp, f64)> {
+        let key = self.key?;
+        let motion = self.tracker.motion().filter(|motion| motion.then == key.stamp)?;
+        let by_motion = motion.target.as_ref().and_then(|t| t.as_ref().ok()).map(|body| {
+            let point = body.now_from_then() * key.point;
+            (point, depth_std(body, &point))
+        });
+        let by_size = || {
+            let at = present.filter(|at| key.whole && self.is_whole(&at.bbox))?;
+            let ratio = f64::from(key.bbox.height() / at.bbox.height());
+            let std = f64::from(at.edge_std / at.bbox.height()) * 2.0;
+            let point = self.lift(&at.bbox, key.point.z * ratio)?;
+            Some((point, point.z * std.max(0.03)))
+        };
+        let (point, std_m) = by_motion.filter(|(p, s)| *s < 0.1 * p.z).or_else(by_size)?;
+        if !(point.z > 0.0 && point.z.is_finite() && std_m.is_finite()) {
+            return None;
+        }
+        let share = (std_m / point.z).hypot(0.005);
+        let seen = self.seen(motion.now, Point3::from(point.coords * key.correction), share);
+        Some((seen, key.stamp, key.scale_std))
+    }
+
+    /// The range of the target's foot on the ground.
+    #[must_use]
+    pub fn ground(&self, at: &TargetBox) -> Option<SeenRange> {
+        if !self.options.ground_range {
+            return None;
+        }
+        let height = Uncertain::new(self.mount.height_m, 0.0);
+        let pitch = self.pitch.pitch_rad();
+        let cue = GroundRange {
+            edge_std_px: f64::from(at.edge_std),
+            ..GroundRange::new(height, Uncertain::exact(pitch.value))
+        };
+        let found = cue.measure(&self.camera, at.bbox).ok()?;
+        Some(self.seen(at.stamp, found.foot, found.std_m / found.depth_m))
+    }
+
+    /// What pitch and height are worth in a range by the ground, as a share of it.
+    #[must_use]
+    pub fn ground_bias_std(&self, depth_m: f64) -> f64 {
+        let pitch = self.pitch.pitch_rad().std;
+        (pitch * depth_m / self.mount.height_m).hypot(self.options.height_std)
+    }
+
+    /// Tangent of the direction to a box, left positive, in the plane, with its
+    /// standard deviation.
+    #[must_use]
+    pub fn direction(&self, at: &TargetBox) -> Option<(f64, f64)> {
+        let point = self.lift(&at.bbox, 1.0)?;
+        let base = self.level(&point);
+        let std = f64::from(at.center_std[0]) / self.camera.fx();
+        let tangent = base.y / base.x;
+        (base.x > 0.1 && tangent.is_finite()).then_some((tangent, std))
+    }
+
+    /// Whether no edge of the picture cuts the box.
+    #[must_use]
+    pub fn is_whole(&self, bbox: &BoundingBox) -> bool {
+        bbox.x0 > BORDER_PX
+            && bbox.y0 > BORDER_PX
+            && bbox.x1 < self.camera.width() as f32 - BORDER_PX
+            && bbox.y1 < self.camera.height() as f32 - BORDER_PX
+    }
+
+    fn lift(&self, bbox: &BoundingBox, depth_m: f64) -> Option<Point3<f64>> {
+        let (x, y) = bbox.center();
+        let pixel = [f64::from(x) - 0.5, f64::from(y) - 0.5];
+        self.camera.unproject_at_depth(pixel, depth_m).ok()
+    }
+
+    /// A point of the optical frame in axes of the base frame, from the camera.
+    fn level(&self, point: &Point3<f64>) -> Point3<f64> {
+        let pitch_rad = self.pitch.pitch_rad().value;
+        let at_origin = CameraMount { forward_m: 0.0, left_m: 0.0, height_m: 0.0, pitch_rad };
+        at_origin.base_from_optical() * *point
+    }
+
+    fn seen(&self, stamp: Stamp, point: Point3<f64>, std_share: f64) -> SeenRange {
+        SeenRange { stamp, depth_m: point.z, forward_m: self.level(&point).x, std_share }
+    }
+}
+
+/// Standard deviation of the depth of a point that moved, metres.
+fn depth_std(body: &BodyMotion, point: &Point3<f64>) -> f64 {
+    // exp([v; w]) moves p by v + w x p.
+    let row = Vector6::new(0.0, 0.0, 1.0, point.y, -point.x, 0.0);
+    (body.estimate.covariance * row).dot(&row).max(0.0).sqrt()
+}
+
+/// Carries the pitch over the rotation from the last frame to this one, and corrects
+/// it by the direction in which the camera went.
+fn nod(
+    pitch: &mut PitchFilter,
+    before: &mut Option<(Stamp, Stamp, realnet_core::Pose)>,
+    motion: &Motion,
+) {
+    let now = motion.background.as_ref().ok();
+    // A number out of range leaves the filter as it was.
+    if let Some(body) = now {
+        let pose = body.now_from_then();
+        if let Some((then, stamp, last)) = *before
+            && then == motion.then
+        {
+            let step = pose * last.inverse();
+            let seconds = motion.now.seconds_since(stamp).max(0.0);
+            let std = body.estimate.rotation_std() * std::f64::consts::SQRT_2;
+            let _ = pitch.predict(&step.rotation(), std, seconds);
+        }
+        let moved = pitch_from_translation(
+            &pose,
+            &body.estimate.covariance,
+            Uncertain::new(0.0, 0.01),
+            HEAVE_STD_M,
+        );
+        if let Ok(moved) = moved {
+            let _ = pitch.update(&moved);
+        }
+        *before = Some((motion.then, motion.now, pose));
+    } else {
+        *before = None;
+    }
+}
