@@ -1,5 +1,6 @@
 //! A world with ground truth: rooms, cars, camera, latency and faults.
 
+pub mod dynamics;
 mod log;
 mod metrics;
 mod vehicle;
