@@ -11,6 +11,7 @@ mod interrupt;
 mod model_args;
 mod output;
 mod progress;
+mod sim;
 mod track;
 mod val;
 
