@@ -3,6 +3,7 @@
 pub mod dynamics;
 mod log;
 mod metrics;
+pub mod perception;
 mod vehicle;
 
 pub use log::{BodyLog, DepthMapLog, DetectionLog, FrameLog, RunLog, StopLog};
