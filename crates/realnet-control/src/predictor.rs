@@ -1,0 +1,280 @@
+//! Where the vehicle will be, from the commands it was given.
+
+use crate::check::usable;
+use crate::{Drive, Motion, VehicleOptions};
+use realnet_core::{DriveCommand, Pose2, Stamp};
+use std::collections::VecDeque;
+
+/// The vehicle's own motion from the commands it was given: a dead time, then
+/// first-order lags of speed and steering with the vehicle's greatest acceleration,
+/// deceleration and steering rate, and a motor that stands below its least speed.
+///
+/// It serves three ends: the pose at the time when the next command takes effect
+/// ([`VehiclePredictor::advance`] from now), odometry between measurements (`advance` from
+/// the last one), and the speed where none is measured. Measurements correct it
+/// ([`VehiclePredictor::correct`]), in any order.
+///
+/// It remembers the last [`VehiclePredictor::CAPACITY`] commands and corrections, more
+/// than two seconds of a camera at 30 frames a second; before the oldest of them the
+/// motion is taken to have been the same. Before the first command the vehicle stands.
+///
+/// ```
+/// use realnet_control::{VehicleOptions, VehiclePredictor};
+/// use realnet_core::{DriveCommand, Pose2, Stamp};
+///
+/// let vehicle = VehicleOptions { dead_time_s: 0.1, speed_lag_s: 0.0, ..Default::default() };
+/// let mut predictor = VehiclePredictor::new(vehicle)?;
+/// let start = Stamp::ZERO;
+/// predictor.push(&DriveCommand { stamp: start, speed: 1.0, ..Default::default() });
+/// // Nothing for 0.1 s, then 2 m/s^2 up to 1 m/s, which takes 0.5 s and 0.25 m.
+/// let end = Stamp::from_secs_f64(1.6);
+/// assert!((predictor.speed_at(Stamp::from_secs_f64(0.35)) - 0.5).abs() < 1e-9);
+/// assert!((predictor.advance(Pose2::IDENTITY, start, end).x - 1.25).abs() < 1e-3);
+/// # Ok::<(), realnet_control::OptionError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct VehiclePredictor {
+    vehicle: VehicleOptions,
+    /// In the order of their stamps.
+    knots: VecDeque<Knot>,
+    last_push: Option<Stamp>,
+}
+
+/// From `stamp` on the vehicle goes from `state` to `goal`.
+#[derive(Clone, Copy, Debug)]
+struct Knot {
+    stamp: Stamp,
+    goal: Motion,
+    state: Motion,
+    /// Whether `state` was measured: then it does not follow from the knot before.
+    speed_measured: bool,
+    turn_measured: bool,
+}
+
+impl VehiclePredictor {
+    /// Commands and corrections that are remembered.
+    pub const CAPACITY: usize = 128;
+
+    /// Steps of the integration, seconds at most.
+    const STEP_S: f64 = 0.01;
+
+    /// No more steps than this in one [`VehiclePredictor::advance`]; they are longer then.
+    const MOST_STEPS: f64 = 1000.0;
+
+    /// Below this speed a rate of turn says nothing about a steering angle, m/s.
+    const SLOW_M_S: f64 = 0.1;
+
+    /// A predictor for a vehicle that stands.
+    ///
+    /// # Errors
+    ///
+    /// An option that cannot be worked with.
+    pub fn new(vehicle: VehicleOptions) -> Result<Self, crate::OptionError> {
+        vehicle.check()?;
+        Ok(Self { vehicle, knots: VecDeque::with_capacity(Self::CAPACITY), last_push: None })
+    }
+
+    /// Forgets everything: the vehicle stands.
+    pub fn reset(&mut self) {
+        self.knots.clear();
+        self.last_push = None;
+    }
+
+    /// Takes in a command that was sent. One with the stamp of the last one replaces it;
+    /// one with an earlier stamp says that the clock jumped: the history is forgotten,
+    /// the vehicle's last known motion is kept. Commands that are not finite are ignored.
+    pub fn push(&mut self, command: &DriveCommand) {
+        let turn = match self.vehicle.drive {
+            Drive::Ackermann { .. } => command.steering_angle - self.vehicle.steering_trim_rad,
+            Drive::Differential { .. } => command.yaw_rate,
+        };
+        if !usable(command.speed) || !usable(turn) {
+            return;
+        }
+        let least = self.vehicle.dead_band.min_speed_m_s;
+        // a hair less: a command may have been through a float of another size
+        let speed = if command.speed.abs() < 0.999 * least { 0.0 } else { command.speed };
+        let goal = Motion { speed, turn };
+        let stamp = later(command.stamp, self.vehicle.dead_time_s);
+        if self.last_push.is_some_and(|last| command.stamp < last) {
+            let state = self.knots.back().map_or(Motion::default(), |knot| knot.state);
+            self.knots.clear();
+            let knot = Knot { stamp, goal, state, speed_measured: true, turn_measured: true };
+            self.knots.push_back(knot);
+        } else {
+            self.insert(stamp, Some(goal), None, None);
+        }
+        self.last_push = Some(command.stamp);
+    }
+
+    /// Takes in measurements of the motion at a moment: speed in m/s, rate of turn in
+    /// rad/s. What the model said for that moment is replaced, what it says for later is
+    /// computed again. Of a car that hardly moves, a rate of turn is ignored, and so are
+    /// numbers that are not finite.
+    pub fn correct(&mut self, stamp: Stamp, speed: Option<f64>, yaw_rate: Option<f64>) {
+        let speed = speed.filter(|speed| usable(*speed));
+        let yaw_rate = yaw_rate.filter(|rate| usable(*rate));
+        let turn = yaw_rate.and_then(|rate| match self.vehicle.drive {
+            Drive::Ackermann { wheelbase_m, .. } => {
+                let speed = speed.unwrap_or_else(|| self.speed_at(stamp));
+                let most = self.vehicle.drive.max_turn();
+                (speed.abs() >= Self::SLOW_M_S)
+                    .then(|| (rate * wheelbase_m / speed).atan().clamp(-most, most))
+            }
+            Drive::Differential { .. } => Some(rate),
+        });
+        if speed.is_some() || turn.is_some() {
+            self.insert(stamp, None, speed, turn);
+        }
+    }
+
+    /// Speed at a moment, m/s.
+    #[must_use]
+    pub fn speed_at(&self, stamp: Stamp) -> f64 {
+        self.motion_at(stamp).speed
+    }
+
+    /// Rate of turn at a moment, rad/s.
+    #[must_use]
+    pub fn yaw_rate_at(&self, stamp: Stamp) -> f64 {
+        let motion = self.motion_at(stamp);
+        self.vehicle.drive.yaw_rate(motion.speed, motion.turn)
+    }
+
+    /// Speed at a moment, and the steering angle without trim (of a differential drive the
+    /// rate of turn).
+    #[must_use]
+    pub fn motion_at(&self, stamp: Stamp) -> Motion {
+        let before = self.knots.iter().rev().find(|knot| knot.stamp <= stamp);
+        match before.or(self.knots.front()) {
+            Some(knot) => self.evolve(knot, stamp),
+            None => Motion::default(),
+        }
+    }
+
+    /// The pose at `to` of a vehicle that is at `pose` at `from`. `to` may be earlier.
+    #[must_use]
+    pub fn advance(&self, pose: Pose2, from: Stamp, to: Stamp) -> Pose2 {
+        let seconds = to.seconds_since(from);
+        if seconds == 0.0 {
+            return pose;
+        }
+        let steps = (seconds.abs() / Self::STEP_S).ceil().clamp(1.0, Self::MOST_STEPS);
+        let step = seconds / steps;
+        // Arcs of the motion in the middle of each step: exact where the motion is even,
+        // of second order elsewhere; backwards they undo what they did forwards.
+        (0..steps as u32).fold(pose, |pose, index| {
+            let middle = later(from, step * (f64::from(index) + 0.5));
+            let motion = self.motion_at(middle);
+            let yaw_rate = self.vehicle.drive.yaw_rate(motion.speed, motion.turn);
+            pose.driven(motion.speed, yaw_rate, step)
+        })
+    }
+
+    /// A knot at its place; a goal or state that is not given is the present one.
+    fn insert(
+        &mut self,
+        stamp: Stamp,
+        goal: Option<Motion>,
+        speed: Option<f64>,
+        turn: Option<f64>,
+    ) {
+        let mut place =
+            self.knots.iter().rposition(|knot| knot.stamp <= stamp).map_or(0, |i| i + 1);
+        let before = place.checked_sub(1).and_then(|index| self.knots.get(index)).copied();
+        let mut knot = match before {
+            Some(before) if before.stamp == stamp => {
+                place -= 1;
+                before
+            }
+            Some(before) => Knot {
+                stamp,
+                state: self.evolve(&before, stamp),
+                speed_measured: false,
+                turn_measured: false,
+                ..before
+            },
+            None => {
+                let state = self.knots.front().map_or(Motion::default(), |knot| knot.state);
+                Knot { stamp, goal: state, state, speed_measured: true, turn_measured: true }
+            }
+        };
+        knot.goal = goal.unwrap_or(knot.goal);
+        if let Some(speed) = speed {
+            knot.state.speed = speed;
+            knot.speed_measured = true;
+        }
+        if let Some(turn) = turn {
+            knot.state.turn = turn;
+            knot.turn_measured = true;
+        }
+        if before.is_some_and(|before| before.stamp == stamp) {
+            if let Some(old) = self.knots.get_mut(place) {
+                *old = knot;
+            }
+        } else {
+            if self.knots.len() == Self::CAPACITY {
+                if place == 0 {
+                    return; // older than all that is remembered
+                }
+                self.knots.pop_front();
+                place -= 1;
+            }
+            self.knots.insert(place, knot);
+        }
+        self.replay(place + 1, knot);
+    }
+
+    /// The states from `first` on, anew; a command that was pushed late has changed the
+    /// goals of corrections behind it too.
+    fn replay(&mut self, first: usize, mut before: Knot) {
+        for index in first..self.knots.len() {
+            let Some(mut knot) = self.knots.get(index).copied() else { return };
+            let state = self.evolve(&before, knot.stamp);
+            if !knot.speed_measured {
+                knot.state.speed = state.speed;
+            }
+            if !knot.turn_measured {
+                knot.state.turn = state.turn;
+            }
+            if let Some(old) = self.knots.get_mut(index) {
+                *old = knot;
+            }
+            before = knot;
+        }
+    }
+
+    /// The motion at `stamp` if nothing happens between the knot and then.
+    fn evolve(&self, knot: &Knot, stamp: Stamp) -> Motion {
+        let seconds = stamp.seconds_since(knot.stamp).max(0.0);
+        let vehicle = &self.vehicle;
+        let (state, goal) = (knot.state, knot.goal);
+        let slows = goal.speed.abs() < state.speed.abs() || goal.speed * state.speed < 0.0;
+        let rate =
+            if slows { vehicle.max_deceleration_m_s2 } else { vehicle.max_acceleration_m_s2 };
+        let turn_rate = vehicle.drive.max_turn_rate(vehicle.max_deceleration_m_s2);
+        Motion {
+            speed: lagged(state.speed, goal.speed, vehicle.speed_lag_s, rate, seconds),
+            turn: lagged(state.turn, goal.turn, vehicle.steering_lag_s, turn_rate, seconds),
+        }
+    }
+}
+
+/// A first-order lag with a limited rate: `x' = clamp((goal - x) / lag, -rate, rate)`,
+/// solved: first at the greatest rate, and from `lag * rate` off the goal on as an
+/// exponential.
+fn lagged(from: f64, goal: f64, lag: f64, rate: f64, seconds: f64) -> f64 {
+    let missing = goal - from;
+    let fast = (missing.abs() - lag * rate).max(0.0) / rate;
+    if seconds <= fast {
+        return from + rate.copysign(missing) * seconds;
+    }
+    let rest = missing.abs().min(lag * rate).copysign(missing);
+    if lag > 0.0 { goal - rest * (-(seconds - fast) / lag).exp() } else { goal }
+}
+
+/// `stamp` and so many seconds.
+pub(crate) fn later(stamp: Stamp, seconds: f64) -> Stamp {
+    // `as` saturates.
+    Stamp::from_nanos(stamp.nanos().saturating_add((seconds * 1e9).round() as i64))
+}

@@ -1,0 +1,197 @@
+//! Which way to turn: pure pursuit.
+
+use crate::OptionError;
+use realnet_core::nalgebra::Vector2;
+
+/// What pure pursuit pursues.
+///
+/// The law of the paper this project follows, `R = (d^2 - d0^2) / (2 x)` with lateral
+/// offset `x`, distance `d` and desired distance `d0`, is the circle on which the robot
+/// ends with the target straight ahead at the distance `d0`: the tangent from the target
+/// to that circle has the length `d0`. It is right while a robot approaches a standing
+/// target. It is singular at `d = d0`, which is where a follower spends its life: there
+/// every lateral error asks for the full lock, and nearer than `d0` for the wrong side.
+/// So it is on offer, with its denominator bounded from below, but not the default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum PursuitRule {
+    /// The point of the target's own path on the look-ahead circle: the robot drives
+    /// where the target drove and does not cut its corners. Where the trail is too short
+    /// or broken, as [`PursuitRule::Target`].
+    #[default]
+    Trail,
+    /// The target itself, `kappa = 2 y / d^2`: the arc that leads through it. Needs no
+    /// trail; cuts corners.
+    Target,
+    /// The paper's law, `kappa = 2 y / (d^2 - d0^2)`, denominator at least the square of
+    /// the least look-ahead distance.
+    Tangent,
+}
+
+/// Options of pure pursuit. Distances are from the origin of the base frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PursuitOptions {
+    /// What is pursued.
+    pub rule: PursuitRule,
+    /// The look-ahead distance at standstill, metres: shorter follows more closely,
+    /// longer is calmer. It also bounds the denominator of every rule.
+    pub min_lookahead_m: f64,
+    /// What the look-ahead distance grows by with the speed, seconds.
+    pub lookahead_s: f64,
+    /// The greatest look-ahead distance, metres.
+    pub max_lookahead_m: f64,
+    /// Points of the trail that are further apart are not one trail, metres: only what
+    /// came after the jump is followed. The same from its newest point to the target.
+    pub max_trail_jump_m: f64,
+    /// A differential drive turns on the spot towards the target, as fast as this times
+    /// the bearing (1/s), the less the faster it drives.
+    pub facing_gain: f64,
+    /// At this speed and above it does not turn more than the path asks for, m/s.
+    pub facing_until_m_s: f64,
+}
+
+impl Default for PursuitOptions {
+    fn default() -> Self {
+        Self {
+            rule: PursuitRule::Trail,
+            min_lookahead_m: 0.4,
+            lookahead_s: 0.4,
+            max_lookahead_m: 1.5,
+            max_trail_jump_m: 0.5,
+            facing_gain: 2.0,
+            facing_until_m_s: 0.3,
+        }
+    }
+}
+
+impl PursuitOptions {
+    pub(crate) fn check(&self) -> Result<(), OptionError> {
+        let least = self.min_lookahead_m;
+        OptionError::check(
+            "pursuit.min_lookahead_m",
+            least,
+            (0.01..=1000.0).contains(&least),
+            "at least 0.01 m, at most 1000 m",
+        )?;
+        OptionError::not_negative("pursuit.lookahead_s", self.lookahead_s)?;
+        OptionError::check(
+            "pursuit.max_lookahead_m",
+            self.max_lookahead_m,
+            (least..=1000.0).contains(&self.max_lookahead_m),
+            "at least min_lookahead_m, at most 1000 m",
+        )?;
+        OptionError::positive("pursuit.max_trail_jump_m", self.max_trail_jump_m)?;
+        OptionError::not_negative("pursuit.facing_gain", self.facing_gain)?;
+        OptionError::positive("pursuit.facing_until_m_s", self.facing_until_m_s)
+    }
+
+    /// The look-ahead distance at a speed, metres.
+    #[must_use]
+    pub fn lookahead_m(&self, speed_m_s: f64) -> f64 {
+        (self.min_lookahead_m + self.lookahead_s * speed_m_s.abs()).min(self.max_lookahead_m)
+    }
+}
+
+/// The point that is pursued.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aim {
+    /// In the base frame, metres.
+    pub point: Vector2<f64>,
+    /// Whether it is of the trail; otherwise it is the target.
+    pub on_trail: bool,
+    /// The curvature that leads there, 1/m, positive to the left. Not yet limited to
+    /// what the vehicle can do.
+    pub curvature: f64,
+}
+
+/// Where to steer, and by which curvature. `distance_m` is the desired distance of the
+/// target from the origin of the base frame (used by [`PursuitRule::Tangent`] alone).
+/// All numbers must be finite.
+#[must_use]
+pub fn aim(
+    options: &PursuitOptions,
+    target: &Vector2<f64>,
+    trail: &[Vector2<f64>],
+    speed_m_s: f64,
+    distance_m: f64,
+) -> Aim {
+    let least = options.min_lookahead_m;
+    let on_trail = match options.rule {
+        PursuitRule::Trail => {
+            trail_point(target, trail, options.lookahead_m(speed_m_s), options.max_trail_jump_m)
+        }
+        PursuitRule::Target | PursuitRule::Tangent => None,
+    };
+    let point = on_trail.unwrap_or(*target);
+    let curvature = match options.rule {
+        PursuitRule::Tangent => {
+            let power = point.norm_squared() - distance_m * distance_m;
+            2.0 * point.y / power.max(least * least)
+        }
+        PursuitRule::Trail | PursuitRule::Target => curvature_to(&point, least),
+    };
+    Aim { point, on_trail: on_trail.is_some(), curvature }
+}
+
+/// The arc through a point, `2 y / d^2 = 2 sin(bearing) / d`, with `d` no less than
+/// `least`. A point behind asks for as much as one abeam: the arc through a point
+/// straight behind would be a straight line forward.
+fn curvature_to(point: &Vector2<f64>, least: f64) -> f64 {
+    let distance = point.norm();
+    if distance < 1e-9 {
+        return 0.0;
+    }
+    let sine = if point.x >= 0.0 { point.y / distance } else { 1.0_f64.copysign(point.y) };
+    2.0 * sine / distance.max(least)
+}
+
+/// The point of the path (trail, then target) where it leaves the circle of the
+/// look-ahead distance around the origin, searched from the path's nearest point
+/// onwards. `None` when there is no usable trail or the path ends within the circle.
+fn trail_point(
+    target: &Vector2<f64>,
+    trail: &[Vector2<f64>],
+    lookahead: f64,
+    max_jump: f64,
+) -> Option<Vector2<f64>> {
+    let trail = unbroken(target, trail, max_jump);
+    let path = || trail.iter().chain(std::iter::once(target));
+    let segments = || path().zip(path().skip(1));
+    // the nearest point of the path: the origin is at 0
+    let nearest = |(from, to): (&Vector2<f64>, &Vector2<f64>)| {
+        let along = to - from;
+        let length2 = along.norm_squared();
+        let t = if length2 > 1e-12 { (-from.dot(&along) / length2).clamp(0.0, 1.0) } else { 0.0 };
+        (from + along * t).norm_squared()
+    };
+    let (index, distance2) =
+        segments().map(nearest).enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+    // Far from the path, aim at it at half a right angle rather than straight across.
+    let radius2 = (lookahead * lookahead).max(2.0 * distance2);
+    let (from, to) = segments().skip(index).find(|(_, to)| to.norm_squared() >= radius2)?;
+    // |from + t along| = radius, the larger root: where the path leaves the circle
+    let along = to - from;
+    let (a, half_b) = (along.norm_squared(), from.dot(&along));
+    let c = from.norm_squared() - radius2;
+    let root = (half_b * half_b - a * c).max(0.0).sqrt();
+    let t = if a > 1e-12 { ((root - half_b) / a).clamp(0.0, 1.0) } else { 1.0 };
+    Some(from + along * t)
+}
+
+/// The newest part of the trail without a jump, on to the target; empty when the
+/// target is not at its end.
+fn unbroken<'a>(
+    target: &Vector2<f64>,
+    trail: &'a [Vector2<f64>],
+    max_jump: f64,
+) -> &'a [Vector2<f64>] {
+    let mut next = target;
+    let mut start = trail.len();
+    for point in trail.iter().rev() {
+        if (next - point).norm_squared() > max_jump * max_jump {
+            break;
+        }
+        start -= 1;
+        next = point;
+    }
+    trail.get(start..).unwrap_or(&[])
+}

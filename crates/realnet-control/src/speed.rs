@@ -1,0 +1,275 @@
+//! How fast to drive: the gap's PID and what bounds the speed.
+
+use crate::{Gap, OptionError, VehicleOptions};
+
+/// Options of the speed control.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedOptions {
+    /// The gap to keep at standstill, from the front bumper to the target, metres.
+    pub gap_m: f64,
+    /// What the gap grows by with the own speed, seconds.
+    pub headway_s: f64,
+    /// Speed for each metre of gap error, 1/s.
+    pub kp: f64,
+    /// Its growth with time, 1/s^2: makes up for a speed that is not quite the one
+    /// commanded.
+    pub ki: f64,
+    /// Share of the gap's rate of change that is added: it shortens the lag of the speed
+    /// to `1 / (1 + kd)` of what it is.
+    pub kd: f64,
+    /// The integral adds no more than this to either side, metres a second.
+    pub max_integral_m_s: f64,
+    /// With a gap error beyond this the integral waits, metres.
+    pub integral_band_m: f64,
+    /// Greatest lateral acceleration in curves, metres a second squared.
+    pub max_lateral_acceleration_m_s2: f64,
+    /// What the target is taken to be able to brake with, metres a second squared.
+    pub target_deceleration_m_s2: f64,
+    /// Share of the own greatest deceleration that is counted on.
+    pub brake_share: f64,
+    /// From what the target does to its estimate, seconds. The time to the effect of a
+    /// command is added to it.
+    pub perception_latency_s: f64,
+    /// So many standard deviations are taken off the gap where collisions are at stake.
+    pub range_sigmas: f64,
+}
+
+impl Default for SpeedOptions {
+    fn default() -> Self {
+        Self {
+            gap_m: 1.0,
+            headway_s: 0.0,
+            kp: 1.2,
+            ki: 0.15,
+            kd: 0.4,
+            max_integral_m_s: 0.3,
+            integral_band_m: 0.4,
+            max_lateral_acceleration_m_s2: 2.5,
+            target_deceleration_m_s2: 4.0,
+            brake_share: 0.8,
+            perception_latency_s: 0.1,
+            range_sigmas: 2.0,
+        }
+    }
+}
+
+impl SpeedOptions {
+    pub(crate) fn check(&self, stopping_radius_m: f64) -> Result<(), OptionError> {
+        OptionError::check(
+            "speed.gap_m",
+            self.gap_m,
+            self.gap_m > stopping_radius_m && self.gap_m <= 1000.0,
+            "above governor.stopping_radius_m, at most 1000 m",
+        )?;
+        for (name, value) in [
+            ("speed.headway_s", self.headway_s),
+            ("speed.kp", self.kp),
+            ("speed.ki", self.ki),
+            ("speed.kd", self.kd),
+        ] {
+            let ok = (0.0..=100.0).contains(&value);
+            OptionError::check(name, value, ok, "at least 0, at most 100")?;
+        }
+        OptionError::not_negative("speed.max_integral_m_s", self.max_integral_m_s)?;
+        OptionError::not_negative("speed.integral_band_m", self.integral_band_m)?;
+        OptionError::positive(
+            "speed.max_lateral_acceleration_m_s2",
+            self.max_lateral_acceleration_m_s2,
+        )?;
+        OptionError::positive("speed.target_deceleration_m_s2", self.target_deceleration_m_s2)?;
+        OptionError::share("speed.brake_share", self.brake_share)?;
+        OptionError::not_negative("speed.perception_latency_s", self.perception_latency_s)?;
+        OptionError::not_negative("speed.range_sigmas", self.range_sigmas)
+    }
+
+    /// The greatest speed at which the robot can still stop outside of the stopping
+    /// radius if the target brakes now with all it has, metres a second.
+    ///
+    /// Both brake: the target needs `w^2 / (2 a)` from its speed `w` on, the robot first
+    /// drives on for the reaction time `T` and then needs `v^2 / (2 b)`:
+    ///
+    /// `v T + v^2 / (2 b) <= s + w^2 / (2 a)`, so
+    /// `v = b (sqrt(T^2 + 2 (s + w^2 / (2 a)) / b) - T)`
+    ///
+    /// with the room `s` to the stopping radius, [`SpeedOptions::range_sigmas`]
+    /// deviations of the range taken off. A target that comes nearer (`w < 0`) is taken
+    /// to go on doing so until the robot stands.
+    #[must_use]
+    pub fn stopping_speed(
+        &self,
+        gap: &Gap,
+        vehicle: &VehicleOptions,
+        stopping_radius_m: f64,
+    ) -> f64 {
+        let braking = self.brake_share * vehicle.max_deceleration_m_s2;
+        let reaction = self.perception_latency_s + vehicle.dead_time_s + vehicle.speed_lag_s;
+        let room = gap.length_m - self.range_sigmas * gap.std_m - stopping_radius_m;
+        let away = gap.target_speed_m_s.max(0.0);
+        let nearer = (-gap.target_speed_m_s).max(0.0);
+        let room = room + 0.5 * away * away / self.target_deceleration_m_s2 - nearer * reaction;
+        let slowness = reaction + nearer / braking;
+        braking * ((slowness * slowness + 2.0 * room.max(0.0) / braking).sqrt() - slowness)
+    }
+
+    /// The greatest speed on a curve, metres a second: from the lateral acceleration
+    /// `v^2 |kappa|`.
+    #[must_use]
+    pub fn curve_speed(&self, curvature: f64) -> f64 {
+        (self.max_lateral_acceleration_m_s2 / curvature.abs().max(1e-9)).sqrt()
+    }
+}
+
+/// Own motion at the moment of the gap.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OwnMotion {
+    /// Metres a second.
+    pub speed: f64,
+    /// Radians a second.
+    pub yaw_rate: f64,
+}
+
+/// What the gap's control did in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GapControl {
+    /// The gap to keep, metres.
+    pub desired_m: f64,
+    /// The gap minus that, metres.
+    pub error_m: f64,
+    /// Rate of change of the gap, metres a second.
+    pub rate_m_s: f64,
+    /// Speed at which the gap would stay as it is, metres a second.
+    pub feed_forward_m_s: f64,
+    /// The integral's part, metres a second.
+    pub integral_m_s: f64,
+    /// The speed wanted: the sum of all parts, metres a second.
+    pub speed_m_s: f64,
+}
+
+/// PID control of the gap. Its output is a speed.
+///
+/// The feed-forward is the speed at which the gap stays as it is. The derivative is the
+/// measured relative speed, not the difference of gap errors, so that neither noise nor
+/// a new desired gap kicks. The integral stands still while what was sent last was
+/// limited on the side that it would push to, and far from the desired gap.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GapController {
+    integral: f64,
+    wanted: f64,
+    sent: f64,
+}
+
+impl GapController {
+    /// One step, `seconds` after the last one.
+    pub fn step(
+        &mut self,
+        options: &SpeedOptions,
+        gap: &Gap,
+        own: OwnMotion,
+        front_m: f64,
+        seconds: f64,
+    ) -> GapControl {
+        let desired_m = options.gap_m + options.headway_s * own.speed.max(0.0);
+        let error_m = gap.length_m - desired_m;
+        // The front bumper moves with the speed along x and yaw rate times lever along y.
+        let sideways = gap.sight.y * own.yaw_rate * front_m;
+        let rate_m_s = gap.target_speed_m_s - gap.sight.x * own.speed - sideways;
+        // Across the line of sight no speed closes the gap: the cosine is bounded.
+        let feed_forward_m_s = (gap.target_speed_m_s - sideways) / gap.sight.x.max(0.5);
+        let push = options.ki * error_m * seconds;
+        // Dead band and rates change a command too; 1 mm/s is not worth waiting for.
+        let limited_up = self.sent < self.wanted - 1e-3 && push > 0.0;
+        let limited_down = self.sent > self.wanted + 1e-3 && push < 0.0;
+        if error_m.abs() <= options.integral_band_m && !limited_up && !limited_down {
+            let most = options.max_integral_m_s;
+            self.integral = (self.integral + push).clamp(-most, most);
+        }
+        let speed_m_s =
+            feed_forward_m_s + options.kp * error_m + options.kd * rate_m_s + self.integral;
+        self.wanted = speed_m_s;
+        GapControl {
+            desired_m,
+            error_m,
+            rate_m_s,
+            feed_forward_m_s,
+            integral_m_s: self.integral,
+            speed_m_s,
+        }
+    }
+
+    /// What became of the last speed wanted, metres a second.
+    pub fn sent(&mut self, speed: f64) {
+        self.sent = speed;
+    }
+
+    /// After a stop: what was learnt is forgotten.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+}
+
+/// What bounded the speed in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum SpeedBound {
+    /// Nothing: the gap's control decided.
+    #[default]
+    None,
+    /// The vehicle's greatest speed.
+    Vehicle,
+    /// The stopping distance.
+    Stopping,
+    /// The lateral acceleration, the rate of turn or a wheel's speed in a curve.
+    Curve,
+    /// The target is lost: not faster than before, or slower and slower.
+    Lost,
+}
+
+impl SpeedBound {
+    /// The name in files and plots.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Vehicle => "vehicle",
+            Self::Stopping => "stopping",
+            Self::Curve => "curve",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+/// The bounds of the speed in a step, metres a second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedBounds {
+    /// [`SpeedBound::Vehicle`].
+    pub vehicle: f64,
+    /// [`SpeedBound::Stopping`].
+    pub stopping: f64,
+    /// [`SpeedBound::Curve`].
+    pub curve: f64,
+    /// [`SpeedBound::Lost`]; infinite while the target is tracked.
+    pub lost: f64,
+}
+
+impl Default for SpeedBounds {
+    fn default() -> Self {
+        Self { vehicle: 0.0, stopping: 0.0, curve: 0.0, lost: 0.0 }
+    }
+}
+
+impl SpeedBounds {
+    /// The least of them and which it is.
+    #[must_use]
+    pub fn least(&self) -> (f64, SpeedBound) {
+        [
+            (self.vehicle, SpeedBound::Vehicle),
+            (self.stopping, SpeedBound::Stopping),
+            (self.curve, SpeedBound::Curve),
+            (self.lost, SpeedBound::Lost),
+        ]
+        .into_iter()
+        .fold(
+            (f64::INFINITY, SpeedBound::None),
+            |best, next| if next.0 < best.0 { next } else { best },
+        )
+    }
+}
