@@ -50,7 +50,7 @@
 //!         estimate: Some(estimate),
 //!     };
 //!     let command = controller.step(&ControlInput::new(now, &target));
-//!     assert!(command.speed >= speed && command.steering_angle >= 0.0);
+//!     assert!(command.stop.is_none() && command.steering_angle >= 0.0);
 //!     speed = command.speed;
 //! }
 //! assert!(speed > 1.0);
