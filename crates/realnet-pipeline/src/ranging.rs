@@ -15,6 +15,8 @@ use thiserror::Error;
 
 /// How far the axle heaves between a depth map's frame and the present one, metres.
 const HEAVE_STD_M: f64 = 0.002;
+/// Own noise of a depth in the box, as a share: what is left of the pixels' noise.
+const MAP_STD: f64 = 0.005;
 /// A box must not reach within this of the picture's edge for its height to be known.
 const BORDER_PX: f32 = 2.0;
 
@@ -29,11 +31,6 @@ pub struct RangingOptions {
     pub map_std: f64,
     /// Standard deviation of the mount's pitch, radians.
     pub pitch_std_rad: f64,
-    /// Standard deviation of the camera's height, as a share.
-    pub height_std: f64,
-    /// Whether the scale of a depth map is corrected by the ground in it: the
-    /// camera's height above it is known.
-    pub scale_by_ground: bool,
     /// Whether the target's foot on the ground is a range of its own.
     pub ground_range: bool,
 }
@@ -45,8 +42,6 @@ impl Default for RangingOptions {
             depth_in_box: DepthInBoxOptions::default(),
             map_std: 0.1,
             pitch_std_rad: 0.01,
-            height_std: 0.02,
-            scale_by_ground: true,
             ground_range: true,
         }
     }
@@ -77,17 +72,6 @@ pub struct SeenRange {
     pub std_share: f64,
 }
 
-/// What a depth map says about the target and the ground.
-#[derive(Clone, Copy, Debug)]
-pub struct MapRange {
-    /// The range as the network gives it.
-    pub seen: SeenRange,
-    /// Standard deviation of the map's scale after the ground corrected it, as a share.
-    pub scale_std: f64,
-    /// Factor that the ground corrected the map's depths by; `seen` has it in it.
-    pub correction: f64,
-}
-
 /// The map that fast ranges start from.
 #[derive(Clone, Copy, Debug)]
 struct Key {
@@ -97,8 +81,6 @@ struct Key {
     point: Point3<f64>,
     bbox: BoundingBox,
     whole: bool,
-    scale_std: f64,
-    correction: f64,
 }
 
 /// Turns frames, boxes and depth maps into ranges.
@@ -176,16 +158,18 @@ impl Ranging {
     }
 
     /// Takes a depth map; `at` is the target's box on its frame, `expected` its range
-    /// there as far as known, with deviation, metres.
+    /// there as far as known, with deviation, metres. Answers with the range as the
+    /// network gives it.
     ///
     /// # Errors
-    /// [`MotionError::NotKept`] for a map of another frame than the one kept.
+    /// Beside the range: [`MotionError::NotKept`] for a map of another frame than the one
+    /// kept. It is then not the start of fast ranges.
     pub fn depth(
         &mut self,
         map: &DepthMap,
         at: Option<TargetBox>,
         expected: Option<(f64, f64)>,
-    ) -> Result<Option<MapRange>, MotionError> {
+    ) -> (Option<SeenRange>, Result<(), MotionError>) {
         let (sx, sy) = (
             map.width() as f32 / self.camera.width() as f32,
             map.height() as f32 / self.camera.height() as f32,
@@ -196,27 +180,20 @@ impl Ranging {
         });
         let found = scaled.and_then(|bbox| self.in_box(map, bbox, expected).ok());
         let gate = found.and_then(|_| self.depth_in_box.foreground(&SigmaRule::default()).ok());
-        self.tracker.set_depth(map, gate.map(|foreground| foreground.gate).as_ref())?;
-        self.before = None;
-        let (correction, scale_std) = self.scale(map, scaled);
-        self.key = None;
-        let (Some(found), Some(at)) = (found, at) else { return Ok(None) };
-        let Some(point) = self.lift(&at.bbox, found.depth_m) else { return Ok(None) };
-        self.key = Some(Key {
-            stamp: map.stamp(),
-            point,
-            bbox: at.bbox,
-            whole: self.is_whole(&at.bbox),
-            scale_std,
-            correction,
-        });
-        // What is random in it is common to all that starts from it.
-        let scale_std = scale_std.hypot(found.random_m.hypot(found.interval_m) / found.depth_m);
-        if let Some(key) = &mut self.key {
-            key.scale_std = scale_std;
+        let kept = self.tracker.set_depth(map, gate.map(|foreground| foreground.gate).as_ref());
+        let point = found.zip(at).and_then(|(found, at)| self.lift(&at.bbox, found.depth_m));
+        if kept.is_ok() {
+            self.before = None;
+            self.level_by(map, scaled);
+            self.key = point.zip(at).map(|(point, at)| Key {
+                stamp: map.stamp(),
+                point,
+                bbox: at.bbox,
+                whole: self.is_whole(&at.bbox),
+            });
         }
-        let seen = self.seen(map.stamp(), Point3::from(point.coords * correction), 0.005);
-        Ok(Some(MapRange { seen, scale_std, correction }))
+        let seen = point.map(|point| self.seen(map.stamp(), point, MAP_STD));
+        (seen, kept.map(|_| ()))
     }
 
     fn in_box(
@@ -236,28 +213,12 @@ impl Ranging {
         self.depth_in_box.measure(map, bbox, DepthNoise::NONE)
     }
 
-    /// The factor on a map's depths by the ground in it, and what deviation its
-    /// scale has then.
-    fn scale(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> (f64, f64) {
-        let alone = (1.0, self.options.map_std);
-        let Some(plane) = self.fit_ground(map, target) else { return alone };
-        let measurement = plane.measurement();
-        // A refused one disagrees with all that is known; a restart is the filter's
-        // own affair.
-        let accepted = self.pitch.update(&measurement).is_ok_and(|update| update.accepted);
-        if !(self.options.scale_by_ground && accepted) {
-            return alone;
+    /// Corrects the pitch by the ground in a map.
+    fn level_by(&mut self, map: &DepthMap, target: Option<BoundingBox>) {
+        if let Some(plane) = self.fit_ground(map, target) {
+            // Numbers out of range leave the filter as it was.
+            let _ = self.pitch.update(&plane.measurement());
         }
-        let height = plane.camera_height_m;
-        let log = (self.mount.height_m / height.value).ln();
-        let std = (height.std / height.value).hypot(self.options.height_std);
-        if !(log.is_finite() && std.is_finite()) {
-            return alone;
-        }
-        // The product of both: scale 1 with the network's deviation, and the ground's.
-        let (network, ground) = (self.options.map_std.powi(-2), std.powi(-2));
-        let share = ground / (network + ground);
-        ((share * log).exp(), (network + ground).powf(-0.5))
     }
 
     fn fit_ground(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> Option<GroundPlane> {
@@ -275,11 +236,11 @@ impl Ranging {
         self.ground_fit.fit(map, &camera, exclude, &prior, DepthNoise::new(0.0, 0.02)).ok()
     }
 
-    /// The range in the present frame: the map's, moved by the target's motion. The
-    /// map's scale is common to all such ranges of one map; it is not in
-    /// [`SeenRange::std_share`]. With it the map's stamp and its scale's deviation.
+    /// The range in the present frame: the map's, moved by the target's motion, and the
+    /// stamp of that map. The map's scale is common to all such ranges of one map; it is
+    /// not in [`SeenRange::std_share`].
     #[must_use]
-    pub fn fast(&self, present: Option<&TargetBox>) -> Option<(SeenRange, Stamp, f64)> {
+    pub fn fast(&self, present: Option<&TargetBox>) -> Option<(SeenRange, Stamp)> {
         let key = self.key?;
         let motion = self.tracker.motion().filter(|motion| motion.then == key.stamp)?;
         let by_motion = motion.target.as_ref().and_then(|t| t.as_ref().ok()).map(|body| {
@@ -297,9 +258,8 @@ impl Ranging {
         if !(point.z > 0.0 && point.z.is_finite() && std_m.is_finite()) {
             return None;
         }
-        let share = (std_m / point.z).hypot(0.005);
-        let seen = self.seen(motion.now, Point3::from(point.coords * key.correction), share);
-        Some((seen, key.stamp, key.scale_std))
+        let share = (std_m / point.z).hypot(MAP_STD);
+        Some((self.seen(motion.now, point, share), key.stamp))
     }
 
     /// The range of the target's foot on the ground.
@@ -318,13 +278,6 @@ impl Ranging {
         Some(self.seen(at.stamp, found.foot, found.std_m / found.depth_m))
     }
 
-    /// What pitch and height are worth in a range by the ground, as a share of it.
-    #[must_use]
-    pub fn ground_bias_std(&self, depth_m: f64) -> f64 {
-        let pitch = self.pitch.pitch_rad().std;
-        (pitch * depth_m / self.mount.height_m).hypot(self.options.height_std)
-    }
-
     /// Tangent of the direction to a box, left positive, in the plane, with its
     /// standard deviation.
     #[must_use]
@@ -336,12 +289,25 @@ impl Ranging {
         (base.x > 0.1 && tangent.is_finite()).then_some((tangent, std))
     }
 
+    /// Depth along the optical axis of what lies one metre ahead in the plane, at the
+    /// height of a box's middle.
+    #[must_use]
+    pub fn depth_of_forward(&self, at: Option<&TargetBox>) -> f64 {
+        let forward = at.and_then(|at| Some(self.level(&self.lift(&at.bbox, 1.0)?).x));
+        forward.filter(|forward| *forward > 0.1).map_or(1.0, f64::recip)
+    }
+
+    /// Whether neither side of the picture cuts the box.
+    #[must_use]
+    pub fn is_wide(&self, bbox: &BoundingBox) -> bool {
+        bbox.x0 > BORDER_PX && bbox.x1 < self.camera.width() as f32 - BORDER_PX
+    }
+
     /// Whether no edge of the picture cuts the box.
     #[must_use]
     pub fn is_whole(&self, bbox: &BoundingBox) -> bool {
-        bbox.x0 > BORDER_PX
+        self.is_wide(bbox)
             && bbox.y0 > BORDER_PX
-            && bbox.x1 < self.camera.width() as f32 - BORDER_PX
             && bbox.y1 < self.camera.height() as f32 - BORDER_PX
     }
 

@@ -58,6 +58,18 @@ pub struct TargetBox {
     pub detected: Stamp,
 }
 
+impl TargetBox {
+    /// Of a detection.
+    #[must_use]
+    pub fn of_detection(stamp: Stamp, bbox: BoundingBox, options: &SightOptions) -> Self {
+        let side = bbox.width().max(bbox.height());
+        let edge_std = options.edge_std_px.hypot(options.edge_std_share * side);
+        // The middle of two edges.
+        let center_std = edge_std * std::f32::consts::FRAC_1_SQRT_2;
+        Self { stamp, bbox, center_std: [center_std; 2], edge_std, detected: stamp }
+    }
+}
+
 /// Where carrying starts: a box whose frame is still there.
 #[derive(Clone, Copy, Debug)]
 struct Anchor {
@@ -175,7 +187,8 @@ impl Sight {
         }
     }
 
-    /// Takes what the detector found on the frame of `stamp`, whenever it comes.
+    /// Takes what the detector found on the frame of `stamp`, whenever it comes. What is
+    /// not `allowed` cannot be the target.
     /// `plausible` says how well a detection suits what is known about the target
     /// (the higher the better, `None`: not at all); it is asked when no box is
     /// there to compare with. Returns the target's box on that frame.
@@ -183,6 +196,7 @@ impl Sight {
         &mut self,
         stamp: Stamp,
         detections: &[Detection],
+        allowed: impl Fn(&Detection) -> bool,
         plausible: impl Fn(&Detection) -> Option<f64>,
     ) -> Option<TargetBox> {
         if self.anchor.is_some_and(|anchor| anchor.at.detected >= stamp) {
@@ -191,7 +205,8 @@ impl Sight {
         let at = self.box_at(stamp);
         let wanted = detections
             .iter()
-            .filter(|d| d.confidence >= self.options.min_confidence && d.bbox.is_proper());
+            .filter(|d| d.confidence >= self.options.min_confidence && d.bbox.is_proper())
+            .filter(|d| allowed(d));
         let overlap = at.and_then(|at| {
             let by_overlap = |d: &&Detection| f64::from(d.bbox.iou(&at.bbox));
             best(wanted.clone(), by_overlap)
@@ -209,16 +224,7 @@ impl Sight {
             return None;
         };
         self.unsupported_since = None;
-        let side = chosen.bbox.width().max(chosen.bbox.height());
-        let edge_std = self.options.edge_std_px.hypot(self.options.edge_std_share * side);
-        let center_std = edge_std * std::f32::consts::FRAC_1_SQRT_2;
-        let found = TargetBox {
-            stamp,
-            bbox: chosen.bbox,
-            center_std: [center_std; 2],
-            edge_std,
-            detected: stamp,
-        };
+        let found = TargetBox::of_detection(stamp, chosen.bbox, &self.options);
         // Carried on from here it will be near where it was carried to so far.
         let (motion, carried_to) = match self.anchor {
             Some(anchor) => match (self.box_at(anchor.carried_to), at) {

@@ -1,0 +1,367 @@
+//! All stages together: what a live robot and a replay both run.
+
+use crate::odometry::{CameraMount, OwnOdometry};
+use crate::ranging::{Ranging, RangingError, RangingOptions, SeenRange};
+use crate::sight::{Sight, SightOptions, TargetBox};
+use realnet_control::{ControlInput, ControlOptions, Controller, OptionError};
+use realnet_core::nalgebra::Vector2;
+use realnet_core::{
+    BoundingBox, CameraModel, DepthMap, Detection, DriveCommand, Frame, Pose2, Stamp, TargetState,
+    TrackStatus,
+};
+use realnet_fusion::{
+    DirectionSource, LateError, OptionsError, RangeSource, Reading, TargetFilter,
+    TargetMeasurement, TargetOptions, Track,
+};
+use realnet_range::carry::CarryError;
+use realnet_range::motion::MotionError;
+use thiserror::Error;
+
+/// How far back the target's path is given to the controller, seconds.
+const TRAIL_S: f64 = 6.0;
+/// Share of the difference between seen and promised speed that is believed in a frame.
+const SPEED_GAIN: f64 = 0.3;
+/// Turning targets show other sides: how well their height in the picture is known.
+const HEIGHT_STD: f64 = 0.35;
+
+/// Everything that can be set.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FollowerOptions {
+    /// Where the camera sits.
+    pub mount: CameraMount,
+    /// Classes of the detector that may be the target; empty: all.
+    pub classes: Vec<u32>,
+    /// How the box is held.
+    pub sight: SightOptions,
+    /// How ranges are found.
+    pub ranging: RangingOptions,
+    /// How they are fused.
+    pub fusion: TargetOptions,
+    /// How the robot is driven.
+    pub control: ControlOptions,
+}
+
+/// Why a follower cannot start.
+#[derive(Debug, Error)]
+pub enum FollowerError {
+    /// An option of the box's carrying.
+    #[error(transparent)]
+    Sight(#[from] CarryError),
+    /// An option of ranging.
+    #[error(transparent)]
+    Ranging(#[from] RangingError),
+    /// An option of the fusion.
+    #[error(transparent)]
+    Fusion(#[from] OptionsError),
+    /// An option of the control.
+    #[error(transparent)]
+    Control(#[from] OptionError),
+}
+
+/// What is known when a frame was taken.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameReport {
+    /// The target's box in it.
+    pub target: Option<TargetBox>,
+    /// Depth of the newest network map that came, held, metres along the optical axis.
+    pub network_m: Option<f64>,
+    /// The same moved to this frame by flow.
+    pub fast_m: Option<f64>,
+    /// By the target's foot on the ground.
+    pub ground_m: Option<f64>,
+    /// Fused, with its standard deviation, metres along the optical axis.
+    pub fused_m: Option<(f64, f64)>,
+    /// Tracked, coasting, lost.
+    pub status: TrackStatus,
+    /// The robot's own place by its odometry.
+    pub fixed_from_base: Pose2,
+}
+
+/// Follows a target: frames go in at once, detections and depth maps when they are
+/// ready, commands come out. No thread, no clock: the caller says what time it is.
+pub struct Follower {
+    options: FollowerOptions,
+    sight: Sight,
+    ranging: Ranging,
+    odometry: OwnOdometry,
+    fusion: TargetFilter,
+    controller: Controller,
+    network: Option<SeenRange>,
+    /// Height of the target's box times its range, pixels x metres: to know it again.
+    height: Option<f64>,
+    trail: Vec<Vector2<f64>>,
+}
+
+impl Follower {
+    /// Before the first frame.
+    ///
+    /// # Errors
+    /// [`FollowerError`] names the option that does not fit.
+    pub fn new(camera: &CameraModel, options: FollowerOptions) -> Result<Self, FollowerError> {
+        let max_speed = 2.0 * options.control.vehicle.max_speed_m_s + 1.0;
+        Ok(Self {
+            sight: Sight::new(options.sight)?,
+            ranging: Ranging::new(camera, &options.mount, options.ranging)?,
+            odometry: OwnOdometry::new(&options.mount, max_speed),
+            fusion: TargetFilter::new(options.fusion)?,
+            controller: Controller::new(options.control)?,
+            network: None,
+            height: None,
+            trail: Vec::with_capacity(options.fusion.trail_capacity + options.fusion.capacity),
+            options,
+        })
+    }
+
+    /// The options.
+    #[must_use]
+    pub const fn options(&self) -> &FollowerOptions {
+        &self.options
+    }
+
+    /// The controller, for its telemetry.
+    #[must_use]
+    pub const fn controller(&self) -> &Controller {
+        &self.controller
+    }
+
+    /// The filter, for its outcomes.
+    #[must_use]
+    pub const fn fusion(&self) -> &TargetFilter {
+        &self.fusion
+    }
+
+    /// Takes the next frame.
+    ///
+    /// # Errors
+    /// [`MotionError`] for a frame of another size or out of order; it is left out.
+    pub fn frame(&mut self, frame: &Frame) -> Result<FrameReport, MotionError> {
+        let stamp = frame.stamp();
+        let predictor = self.controller.predictor();
+        let promised = (predictor.speed_at(stamp), predictor.yaw_rate_at(stamp));
+        let motion = self.ranging.frame(frame)?;
+        let step = self.odometry.step(stamp, motion, promised);
+        if step.seen {
+            let mixed = |seen: f64, promised: f64| promised + SPEED_GAIN * (seen - promised);
+            let speed = mixed(step.speed, promised.0);
+            let yaw_rate = mixed(step.yaw_rate, promised.1);
+            self.controller.predictor_mut().correct(stamp, Some(speed), Some(yaw_rate));
+        }
+        let target = self.sight.frame(self.ranging.picture());
+        let fast = self.ranging.fast(target.as_ref());
+        let ground = target.and_then(|at| self.ranging.ground(&at));
+        if let Some(at) = target {
+            self.measure_direction(&at, DirectionSource::Flow);
+        }
+        if let Some((seen, map)) = fast {
+            self.measure_range(&seen, RangeSource::Network { map });
+        }
+        if let Some(seen) = ground {
+            self.measure_range(&seen, RangeSource::Ground);
+        }
+        Ok(self.report(stamp, target, fast.map(|(seen, _)| seen), ground))
+    }
+
+    fn report(
+        &mut self,
+        stamp: Stamp,
+        target: Option<TargetBox>,
+        fast: Option<SeenRange>,
+        ground: Option<SeenRange>,
+    ) -> FrameReport {
+        let fixed_from_base = self.odometry.pose_at(stamp).unwrap_or_default();
+        let track = self.fusion.track_at(stamp).ok();
+        let camera = fixed_from_base * self.options.mount.base_from_camera();
+        let range = track.and_then(|track| track.range_from(&camera));
+        let by_forward = self.ranging.depth_of_forward(target.as_ref());
+        let fused_m = range.map(|r| (r.depth_m * by_forward, r.std_m * by_forward));
+        if let (Some((range, _)), Some(at)) = (fused_m, target)
+            && self.ranging.is_whole(&at.bbox)
+        {
+            self.height = Some(f64::from(at.bbox.height()) * range);
+        }
+        FrameReport {
+            target,
+            network_m: self.network.map(|seen| seen.depth_m),
+            fast_m: fast.map(|seen| seen.depth_m),
+            ground_m: ground.map(|seen| seen.depth_m),
+            fused_m,
+            status: track.map_or(TrackStatus::Searching, |track| track.status),
+            fixed_from_base,
+        }
+    }
+
+    /// The present frame goes to the depth network. Its map is to be given to
+    /// [`Follower::depth`]; that of a frame kept earlier is then no longer the start of
+    /// fast ranges.
+    pub fn keep_for_depth(&mut self) {
+        self.ranging.keep();
+    }
+
+    /// Takes what the detector found on the frame of `stamp`.
+    pub fn detections(&mut self, stamp: Stamp, detections: &[Detection]) {
+        let Self { sight, ranging, odometry, fusion, options, height, .. } = self;
+        let expected = expectation(fusion, odometry, &options.mount, stamp);
+        let allowed =
+            |d: &Detection| options.classes.is_empty() || options.classes.contains(&d.class_id);
+        let found = sight.detections(stamp, detections, allowed, |detection| {
+            let at = TargetBox::of_detection(stamp, detection.bbox, &options.sight);
+            match (&expected, ranging.direction(&at)) {
+                // Nothing is known: the surest and largest.
+                (None, _) => {
+                    Some(f64::from(detection.confidence) * f64::from(detection.bbox.area()))
+                }
+                (Some(expected), Some((tangent, std))) => {
+                    expected.likeness(tangent, std, &detection.bbox, *height)
+                }
+                (Some(_), None) => None,
+            }
+        });
+        // The box is carried on by flow, which measures every frame; where there was no
+        // flow the detection itself is the measurement.
+        if let Some(at) = found {
+            self.measure_direction(&at, DirectionSource::Detection);
+        }
+    }
+
+    /// Takes a depth map, whenever it comes.
+    ///
+    /// # Errors
+    /// [`MotionError::NotKept`] when its frame is not the one that was kept last; its
+    /// range is used all the same.
+    pub fn depth(&mut self, map: &DepthMap) -> Result<(), MotionError> {
+        let stamp = map.stamp();
+        let at = self.sight.box_at(stamp);
+        let camera =
+            self.odometry.pose_at(stamp).map(|p| p * self.options.mount.base_from_camera());
+        let expected = camera.and_then(|camera| {
+            let range = self.fusion.track_at(stamp).ok()?.range_from(&camera)?;
+            Some((range.depth_m, range.std_m))
+        });
+        let (seen, kept) = self.ranging.depth(map, at, expected);
+        if let Some(seen) = seen {
+            if self.network.is_none_or(|network| network.stamp < seen.stamp) {
+                self.network = Some(seen);
+            }
+            self.measure_range(&seen, RangeSource::Network { map: stamp });
+        }
+        kept
+    }
+
+    /// The command for now.
+    pub fn command(&mut self, now: Stamp) -> DriveCommand {
+        let effect = self.controller.effect_time(now);
+        let (state, fixed_from_base) = self.target_for(now, effect);
+        let base_from_fixed = fixed_from_base.inverse();
+        self.trail.clear();
+        let since = Stamp::from_secs_f64(now.secs_f64() - TRAIL_S);
+        let points = self.fusion.trail(since);
+        self.trail.extend(points.map(|point| base_from_fixed.transform_point(&point.position)));
+        let input = ControlInput { now, target: &state, trail: &self.trail, own_speed: None };
+        self.controller.step(&input)
+    }
+
+    /// The command when no frame came: by a timer.
+    pub fn idle(&mut self, now: Stamp) -> DriveCommand {
+        self.controller.idle(now)
+    }
+
+    /// Stops the robot until [`Follower::release`].
+    pub fn request_stop(&mut self) {
+        self.controller.request_stop();
+    }
+
+    /// Takes back [`Follower::request_stop`].
+    pub fn release(&mut self) {
+        self.controller.release();
+    }
+
+    /// The target as the robot will see it at `when`, by what is known `now`, and where
+    /// the robot will be.
+    fn target_for(&mut self, now: Stamp, when: Stamp) -> (TargetState, Pose2) {
+        let (from, pose) = self.odometry.last().unwrap_or((now, Pose2::IDENTITY));
+        let fixed_from_base = self.controller.predictor().advance(pose, from, when);
+        let state = match self.fusion.track_at(when) {
+            Ok(track) => track.seen_from(&fixed_from_base),
+            Err(_) => TargetState { stamp: when, ..TargetState::default() },
+        };
+        (state, fixed_from_base)
+    }
+
+    fn measure_range(&mut self, seen: &SeenRange, source: RangeSource) {
+        let reading = Reading::Range {
+            depth_m: seen.forward_m,
+            relative_std: seen.std_share.max(0.003),
+            source,
+        };
+        self.measure(seen.stamp, reading);
+    }
+
+    fn measure_direction(&mut self, at: &TargetBox, source: DirectionSource) {
+        if !self.ranging.is_wide(&at.bbox) {
+            return; // the middle of what is seen is not the target's middle
+        }
+        if let Some((tangent, std)) = self.ranging.direction(at) {
+            self.measure(at.stamp, Reading::Direction { tangent, std, source });
+        }
+    }
+
+    /// Numbers out of range and stamps before the horizon cost only themselves.
+    fn measure(&mut self, stamp: Stamp, reading: Reading) -> Option<LateError> {
+        let fixed_from_base = self.odometry.pose_at(stamp)?;
+        let fixed_from_camera = fixed_from_base * self.options.mount.base_from_camera();
+        self.fusion.push(TargetMeasurement { stamp, fixed_from_camera, reading }).err()
+    }
+}
+
+/// Where the target should be in a frame.
+struct Expectation {
+    tangent: f64,
+    tangent_std: f64,
+    depth_m: f64,
+    depth_std_m: f64,
+    status: TrackStatus,
+}
+
+fn expectation(
+    fusion: &mut TargetFilter,
+    odometry: &OwnOdometry,
+    mount: &CameraMount,
+    stamp: Stamp,
+) -> Option<Expectation> {
+    let track: Track = fusion.track_at(stamp).ok()?;
+    let motion = track.motion?;
+    let fixed_from_camera = odometry.pose_at(stamp)? * mount.base_from_camera();
+    let there = fixed_from_camera.inverse().transform_point(&motion.position);
+    let turn = fixed_from_camera.rotation().transpose();
+    let covariance = turn * motion.position_covariance() * turn.transpose();
+    let depth_m = there.x.max(0.1);
+    Some(Expectation {
+        tangent: there.y / depth_m,
+        tangent_std: covariance[(1, 1)].max(0.0).sqrt() / depth_m,
+        depth_m,
+        depth_std_m: covariance[(0, 0)].max(0.0).sqrt(),
+        status: track.status,
+    })
+}
+
+impl Expectation {
+    /// How well a box suits, the higher the better; `None`: not at all.
+    fn likeness(
+        &self,
+        tangent: f64,
+        std: f64,
+        bbox: &BoundingBox,
+        height: Option<f64>,
+    ) -> Option<f64> {
+        // A lost target may have turned round; it is known by its size alone.
+        let wide = if self.status == TrackStatus::Lost { 3.0 } else { 1.0 };
+        let side = (tangent - self.tangent) / (self.tangent_std * wide).hypot(std).hypot(0.05);
+        let size = height.map_or(0.0, |height| {
+            let expected = height / self.depth_m;
+            let log = (f64::from(bbox.height()) / expected).ln();
+            log / (wide * self.depth_std_m / self.depth_m).hypot(HEIGHT_STD)
+        });
+        let distance = side.hypot(size);
+        (distance < 4.0).then_some(-distance)
+    }
+}
