@@ -12,6 +12,7 @@ mod model_args;
 mod output;
 mod progress;
 mod sim;
+mod ticks;
 mod track;
 mod val;
 

@@ -2,4 +2,5 @@
 #![allow(dead_code, reason = "the command is wired when the closed loop stands")]
 
 mod json;
+mod report;
 mod table;

@@ -1,5 +1,6 @@
 //! Charts as SVG.
 
+use crate::cli::ticks::{number, step, ticks};
 use realnet::cues::{DepthHistogram, ForegroundGate};
 use std::fmt::Write as _;
 
@@ -232,38 +233,9 @@ impl Plot {
     }
 }
 
-/// A round step that divides a range into four to eight.
-fn step(range: f64) -> f64 {
-    let decade = 10_f64.powf((range / 4.0).log10().floor());
-    let steps = [5.0, 2.0, 1.0].map(|m| m * decade);
-    steps.into_iter().find(|step| range / step >= 4.0).unwrap_or(decade)
-}
-
-/// The multiples of a step from `low` to `high`.
-fn ticks(low: f64, high: f64, step: f64) -> impl Iterator<Item = f64> {
-    let first = (low / step).ceil();
-    // Counted: adding a step to a large number may not change it.
-    (0..20).map(move |i| (first + f64::from(i)) * step).take_while(move |value| *value <= high)
-}
-
-/// A tick's value with the digits that its step needs.
-fn number(value: f64, step: f64) -> String {
-    let digits = (-step.log10().floor()).max(0.0) as usize;
-    format!("{value:.digits$}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn ticks_are_round_and_few() {
-        let of = |low, high| ticks(low, high, step(high - low)).collect::<Vec<_>>();
-        assert_eq!(of(0.0, 1.0), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
-        assert_eq!(of(103.0, 149.0), [110.0, 120.0, 130.0, 140.0]);
-        assert_eq!(of(-0.5, 9.5).len(), 5);
-        assert!(of(1e19, 1e19).len() <= 20, "frame numbers may be large");
-    }
 
     #[test]
     fn a_line_is_broken_where_a_value_is_missing() {
