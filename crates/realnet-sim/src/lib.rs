@@ -4,6 +4,7 @@ pub mod dynamics;
 mod log;
 mod metrics;
 pub mod perception;
+pub mod scenario;
 pub mod traffic;
 mod vehicle;
 
