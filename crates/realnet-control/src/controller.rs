@@ -1,5 +1,6 @@
 //! All parts together.
 
+use crate::limits::command;
 use crate::lost::LostTarget;
 use crate::predictor::later;
 use crate::pursuit::{Aim, aim};
@@ -94,7 +95,10 @@ impl Controller {
             lost: LostTarget::default(),
             governor: Governor::new(&options)?,
             last_input: None,
-            telemetry: Telemetry::default(),
+            telemetry: Telemetry {
+                sent: command(&options.vehicle, Stamp::ZERO, Motion::default()),
+                ..Telemetry::default()
+            },
         })
     }
 
@@ -154,7 +158,9 @@ impl Controller {
     /// The command when there is no new input: the last one as long as the last input is
     /// fresh, then a stop. To be called by a timer.
     pub fn idle(&mut self, now: Stamp) -> DriveCommand {
-        let proposal = DriveCommand { stamp: now, ..self.telemetry.sent };
+        let mut proposal = DriveCommand { stamp: now, ..self.telemetry.sent };
+        // a request that was released is no reason any more
+        proposal.stop = proposal.stop.filter(|reason| *reason != StopReason::Requested);
         let sent = self.governor.check(now, self.last_input, None, &proposal);
         self.sent(proposal, sent)
     }
@@ -189,14 +195,14 @@ impl Controller {
         };
         self.telemetry = Telemetry { phase, own_speed: own.speed, ..Telemetry::default() };
         let follows = matches!(phase, Phase::Tracking | Phase::Coasting | Phase::Slowing);
-        let mut command = match input.target.estimate.filter(|_| follows) {
+        let mut proposal = match input.target.estimate.filter(|_| follows) {
             Some(estimate) => self.follow(input, &estimate, own, model.turn, bound),
             None => self.stand(now, own.speed),
         };
         if phase == Phase::Slowing {
-            command.stop = Some(StopReason::TargetLost);
+            proposal.stop = Some(StopReason::TargetLost);
         }
-        command
+        proposal
     }
 
     /// Brakes on the path, then stands with the wheels straight, or searches.
@@ -237,7 +243,7 @@ impl Controller {
                 vehicle,
                 options.governor.stopping_radius_m,
             ),
-            curve: self.curve_speed(curvature),
+            curve: self.curve_speed(curvature, turn),
             lost,
         };
         let (ceiling, which) = bounds.least();
@@ -245,10 +251,15 @@ impl Controller {
         if self.telemetry.phase != Phase::Tracking {
             speed = speed.max(0.0);
         }
+        let stands = self.limiter.last().speed == 0.0;
+        let doubt = options.speed.restart_error_m.max(options.speed.range_sigmas * gap.std_m);
+        if stands && control.error_m.abs() <= doubt {
+            speed = 0.0;
+        }
         let turn = match vehicle.drive {
             Drive::Ackermann { wheelbase_m, .. } => {
                 // backwards the same wheels turn the nose the other way
-                let side = if last_is_reverse(self.limiter.last()) { -1.0 } else { 1.0 };
+                let side = if self.limiter.last().speed < 0.0 { -1.0 } else { 1.0 };
                 let angle = side * (wheelbase_m * curvature).atan();
                 angle + vehicle.lag_compensation * (angle - turn)
             }
@@ -259,7 +270,7 @@ impl Controller {
                 speed.abs() * curvature + spot
             }
         };
-        let command = self.limiter.limit(input.now, Motion { speed, turn }, ceiling);
+        let proposal = self.limiter.limit(input.now, Motion { speed, turn }, ceiling);
         self.telemetry = Telemetry {
             gap: Some(control),
             aim: Some(aim),
@@ -268,25 +279,23 @@ impl Controller {
             bound: if control.speed_m_s > ceiling { which } else { SpeedBound::None },
             ..self.telemetry
         };
-        command
+        proposal
     }
 
     /// The greatest speed on a curve: by lateral acceleration, and for a differential
-    /// drive by its rate of turn and by its outer wheel, `v (1 + |kappa| track / 2)`.
-    fn curve_speed(&self, curvature: f64) -> f64 {
-        let by_acceleration = self.options.speed.curve_speed(curvature);
+    /// drive by its rate of turn and by its outer wheel, `v (1 + |kappa| track / 2)`. The
+    /// wheels of a car still stand for the curve before: `turn` is their angle.
+    fn curve_speed(&self, curvature: f64, turn: f64) -> f64 {
+        let curvature = curvature.abs();
+        let speed = &self.options.speed;
         match self.options.vehicle.drive {
-            Drive::Ackermann { .. } => by_acceleration,
-            Drive::Differential { track_m, max_wheel_speed_m_s, max_yaw_rate_rad_s, .. } => {
-                let curvature = curvature.abs();
-                by_acceleration
-                    .min(max_yaw_rate_rad_s / curvature.max(1e-9))
-                    .min(max_wheel_speed_m_s / (1.0 + 0.5 * track_m * curvature))
+            Drive::Ackermann { wheelbase_m, .. } => {
+                speed.curve_speed(curvature.max(turn.tan().abs() / wheelbase_m))
             }
+            Drive::Differential { track_m, max_wheel_speed_m_s, max_yaw_rate_rad_s, .. } => speed
+                .curve_speed(curvature)
+                .min(max_yaw_rate_rad_s / curvature.max(1e-9))
+                .min(max_wheel_speed_m_s / (1.0 + 0.5 * track_m * curvature)),
         }
     }
-}
-
-const fn last_is_reverse(last: Motion) -> bool {
-    last.speed < 0.0
 }

@@ -1,7 +1,10 @@
 //! The last word: whether the vehicle may move at all.
 
 use crate::check::usable;
-use crate::{ControlInput, ControlOptions, Drive, Gap, OptionError, Search, VehicleOptions};
+use crate::limits::command;
+use crate::{
+    ControlInput, ControlOptions, Drive, Gap, Motion, OptionError, Search, VehicleOptions,
+};
 use realnet_core::{DriveCommand, Stamp, StopReason, TrackStatus};
 
 /// How the governor stops the vehicle.
@@ -95,7 +98,7 @@ impl Governor {
             requested: false,
             found: false,
             stopped_by: None,
-            last: DriveCommand::stopped(Stamp::ZERO, StopReason::MissingInput),
+            last: command(&options.vehicle, Stamp::ZERO, Motion::default()),
         })
     }
 
@@ -141,19 +144,29 @@ impl Governor {
             Some(reason) => self.stop(now, reason, wheels),
             None => DriveCommand { stamp: now, ..*proposal },
         };
+        self.bound(&mut sent);
+        self.last = sent;
+        sent
+    }
+
+    /// The vehicle's bounds once more; the rates are the controller's.
+    fn bound(&self, sent: &mut DriveCommand) {
         let vehicle = &self.vehicle;
-        sent.speed = sent.speed.clamp(-vehicle.max_reverse_speed_m_s, vehicle.max_speed_m_s);
         let most = vehicle.drive.max_turn();
+        sent.speed = sent.speed.clamp(-vehicle.max_reverse_speed_m_s, vehicle.max_speed_m_s);
         match vehicle.drive {
             Drive::Ackermann { .. } => {
                 sent.steering_angle = sent.steering_angle.clamp(-most, most);
+                let angle = sent.steering_angle - vehicle.steering_trim_rad;
+                sent.yaw_rate = vehicle.drive.yaw_rate(sent.speed, angle);
             }
-            Drive::Differential { .. } => {
-                sent.yaw_rate = sent.yaw_rate.clamp(-most, most);
+            Drive::Differential { track_m, max_wheel_speed_m_s, .. } => {
+                sent.steering_angle = 0.0;
+                sent.speed = sent.speed.clamp(-max_wheel_speed_m_s, max_wheel_speed_m_s);
+                let wheel = 2.0 * (max_wheel_speed_m_s - sent.speed.abs()) / track_m;
+                sent.yaw_rate = sent.yaw_rate.clamp(-most.min(wheel), most.min(wheel));
             }
         }
-        self.last = sent;
-        sent
     }
 
     /// Whether what is known is too old, or from the future, as after a clock that jumped.
@@ -214,13 +227,7 @@ impl Governor {
             // Without a clock to go by there is no ramp.
             if seconds >= 0.0 && speed >= self.vehicle.dead_band.min_speed_m_s {
                 sent.speed = speed.copysign(self.last.speed);
-                sent.yaw_rate = match self.vehicle.drive {
-                    Drive::Ackermann { .. } => {
-                        let angle = wheels.steering_angle - self.vehicle.steering_trim_rad;
-                        self.vehicle.drive.yaw_rate(sent.speed, angle)
-                    }
-                    Drive::Differential { .. } => wheels.yaw_rate,
-                };
+                sent.yaw_rate = wheels.yaw_rate;
             }
         }
         let lost = matches!(reason, StopReason::TargetLost | StopReason::NoTarget);

@@ -1,7 +1,7 @@
 //! What the controller is told in a step.
 
 use crate::check::{usable, usable_point};
-use realnet_core::nalgebra::Vector2;
+use realnet_core::nalgebra::{Matrix2, Vector2};
 use realnet_core::{Stamp, TargetEstimate, TargetState};
 
 /// Everything a step goes by.
@@ -58,6 +58,8 @@ pub struct Gap {
     pub sight: Vector2<f64>,
     /// Speed of the target over ground along that line, metres a second, positive: away.
     pub target_speed_m_s: f64,
+    /// Its standard deviation, metres a second.
+    pub target_speed_std_m_s: f64,
 }
 
 impl Gap {
@@ -66,12 +68,14 @@ impl Gap {
     pub fn new(estimate: &TargetEstimate, front_m: f64) -> Self {
         let line = estimate.position - Vector2::new(front_m, 0.0);
         let sight = line.try_normalize(1e-9).unwrap_or_else(Vector2::x);
-        let variance = (sight.transpose() * estimate.position_covariance * sight).x;
+        let along = |covariance: &Matrix2<f64>| (sight.transpose() * covariance * sight).x;
+        let std = |covariance| along(covariance).max(0.0).sqrt();
         Self {
             length_m: line.norm(),
-            std_m: variance.max(0.0).sqrt(),
+            std_m: std(&estimate.position_covariance),
             sight,
             target_speed_m_s: sight.dot(&estimate.velocity),
+            target_speed_std_m_s: std(&estimate.velocity_covariance),
         }
     }
 }

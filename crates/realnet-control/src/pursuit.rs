@@ -32,8 +32,10 @@ pub enum PursuitRule {
 pub struct PursuitOptions {
     /// What is pursued.
     pub rule: PursuitRule,
-    /// The look-ahead distance at standstill, metres: shorter follows more closely,
-    /// longer is calmer. It also bounds the denominator of every rule.
+    /// The look-ahead distance at standstill, metres: shorter cuts corners less, longer is
+    /// calmer. It also bounds the denominator of every rule. With the defaults the loop
+    /// stays well damped at 1.8 m/s when the vehicle's dead time is twice the one
+    /// reckoned with; with 0.25 m and 0.2 s it does not.
     pub min_lookahead_m: f64,
     /// What the look-ahead distance grows by with the speed, seconds.
     pub lookahead_s: f64,
@@ -53,8 +55,8 @@ impl Default for PursuitOptions {
     fn default() -> Self {
         Self {
             rule: PursuitRule::Trail,
-            min_lookahead_m: 0.4,
-            lookahead_s: 0.4,
+            min_lookahead_m: 0.35,
+            lookahead_s: 0.25,
             max_lookahead_m: 1.5,
             max_trail_jump_m: 0.5,
             facing_gain: 2.0,

@@ -17,10 +17,18 @@ pub struct SpeedOptions {
     /// Share of the gap's rate of change that is added: it shortens the lag of the speed
     /// to `1 / (1 + kd)` of what it is.
     pub kd: f64,
+    /// Time constant over which the target's speed is averaged for the feed-forward and
+    /// the derivative, seconds: a filter that follows a target closely has a noisy
+    /// velocity. The bound by the stopping distance takes the speed as it is.
+    pub smoothing_s: f64,
     /// The integral adds no more than this to either side, metres a second.
     pub max_integral_m_s: f64,
     /// With a gap error beyond this the integral waits, metres.
     pub integral_band_m: f64,
+    /// A robot that stands goes on when the gap is off by more than this, metres, and by
+    /// more than [`SpeedOptions::range_sigmas`] deviations: the noise of a standing
+    /// target's speed and distance must not make it creep.
+    pub restart_error_m: f64,
     /// Greatest lateral acceleration in curves, metres a second squared.
     pub max_lateral_acceleration_m_s2: f64,
     /// What the target is taken to be able to brake with, metres a second squared.
@@ -32,6 +40,8 @@ pub struct SpeedOptions {
     pub perception_latency_s: f64,
     /// So many standard deviations are taken off the gap where collisions are at stake.
     pub range_sigmas: f64,
+    /// And so many off the target's speed.
+    pub speed_sigmas: f64,
 }
 
 impl Default for SpeedOptions {
@@ -39,16 +49,19 @@ impl Default for SpeedOptions {
         Self {
             gap_m: 1.0,
             headway_s: 0.0,
-            kp: 1.2,
-            ki: 0.15,
-            kd: 0.4,
+            kp: 1.4,
+            ki: 0.2,
+            kd: 0.2,
+            smoothing_s: 0.2,
             max_integral_m_s: 0.3,
             integral_band_m: 0.4,
+            restart_error_m: 0.08,
             max_lateral_acceleration_m_s2: 2.5,
             target_deceleration_m_s2: 4.0,
             brake_share: 0.8,
             perception_latency_s: 0.1,
             range_sigmas: 2.0,
+            speed_sigmas: 1.0,
         }
     }
 }
@@ -70,8 +83,10 @@ impl SpeedOptions {
             let ok = (0.0..=100.0).contains(&value);
             OptionError::check(name, value, ok, "at least 0, at most 100")?;
         }
+        OptionError::not_negative("speed.smoothing_s", self.smoothing_s)?;
         OptionError::not_negative("speed.max_integral_m_s", self.max_integral_m_s)?;
         OptionError::not_negative("speed.integral_band_m", self.integral_band_m)?;
+        OptionError::not_negative("speed.restart_error_m", self.restart_error_m)?;
         OptionError::positive(
             "speed.max_lateral_acceleration_m_s2",
             self.max_lateral_acceleration_m_s2,
@@ -79,7 +94,8 @@ impl SpeedOptions {
         OptionError::positive("speed.target_deceleration_m_s2", self.target_deceleration_m_s2)?;
         OptionError::share("speed.brake_share", self.brake_share)?;
         OptionError::not_negative("speed.perception_latency_s", self.perception_latency_s)?;
-        OptionError::not_negative("speed.range_sigmas", self.range_sigmas)
+        OptionError::not_negative("speed.range_sigmas", self.range_sigmas)?;
+        OptionError::not_negative("speed.speed_sigmas", self.speed_sigmas)
     }
 
     /// The greatest speed at which the robot can still stop outside of the stopping
@@ -92,8 +108,9 @@ impl SpeedOptions {
     /// `v = b (sqrt(T^2 + 2 (s + w^2 / (2 a)) / b) - T)`
     ///
     /// with the room `s` to the stopping radius, [`SpeedOptions::range_sigmas`]
-    /// deviations of the range taken off. A target that comes nearer (`w < 0`) is taken
-    /// to go on doing so until the robot stands.
+    /// deviations of the gap taken off, and [`SpeedOptions::speed_sigmas`] off `w`. A
+    /// target that comes nearer (`w < 0`) is taken to go on doing so until the robot
+    /// stands.
     #[must_use]
     pub fn stopping_speed(
         &self,
@@ -104,8 +121,8 @@ impl SpeedOptions {
         let braking = self.brake_share * vehicle.max_deceleration_m_s2;
         let reaction = self.perception_latency_s + vehicle.dead_time_s + vehicle.speed_lag_s;
         let room = gap.length_m - self.range_sigmas * gap.std_m - stopping_radius_m;
-        let away = gap.target_speed_m_s.max(0.0);
-        let nearer = (-gap.target_speed_m_s).max(0.0);
+        let target = gap.target_speed_m_s - self.speed_sigmas * gap.target_speed_std_m_s;
+        let (away, nearer) = (target.max(0.0), (-target).max(0.0));
         let room = room + 0.5 * away * away / self.target_deceleration_m_s2 - nearer * reaction;
         let slowness = reaction + nearer / braking;
         braking * ((slowness * slowness + 2.0 * room.max(0.0) / braking).sqrt() - slowness)
@@ -153,6 +170,7 @@ pub struct GapControl {
 /// limited on the side that it would push to, and far from the desired gap.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GapController {
+    target_speed: Option<f64>,
     integral: f64,
     wanted: f64,
     sent: f64,
@@ -172,9 +190,17 @@ impl GapController {
         let error_m = gap.length_m - desired_m;
         // The front bumper moves with the speed along x and yaw rate times lever along y.
         let sideways = gap.sight.y * own.yaw_rate * front_m;
-        let rate_m_s = gap.target_speed_m_s - gap.sight.x * own.speed - sideways;
+        let target_speed = match self.target_speed {
+            Some(before) => {
+                let share = seconds / (seconds + options.smoothing_s).max(1e-9);
+                before + share * (gap.target_speed_m_s - before)
+            }
+            None => gap.target_speed_m_s,
+        };
+        self.target_speed = Some(target_speed);
+        let rate_m_s = target_speed - gap.sight.x * own.speed - sideways;
         // Across the line of sight no speed closes the gap: the cosine is bounded.
-        let feed_forward_m_s = (gap.target_speed_m_s - sideways) / gap.sight.x.max(0.5);
+        let feed_forward_m_s = (target_speed - sideways) / gap.sight.x.max(0.5);
         let push = options.ki * error_m * seconds;
         // Dead band and rates change a command too; 1 mm/s is not worth waiting for.
         let limited_up = self.sent < self.wanted - 1e-3 && push > 0.0;
