@@ -117,6 +117,11 @@ impl Frame {
         self
     }
 
+    /// Makes this the picture of another time.
+    pub fn set_stamp(&mut self, stamp: Stamp) {
+        self.stamp = stamp;
+    }
+
     /// Pixels a row.
     #[must_use]
     pub fn width(&self) -> u32 {

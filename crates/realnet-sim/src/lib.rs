@@ -4,7 +4,9 @@ pub mod dynamics;
 mod log;
 mod metrics;
 pub mod perception;
+pub mod render;
 pub mod scenario;
+pub mod scene;
 pub mod traffic;
 mod vehicle;
 
