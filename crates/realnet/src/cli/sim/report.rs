@@ -181,4 +181,4 @@ fn foot(command: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -271,6 +271,45 @@ pub(super) fn runs_table(runs: &[RunResult]) -> String {
     text
 }
 
+/// The figures of one run.
+pub(super) fn run_table(run: &RunResult) -> String {
+    let f = &run.figures;
+    let verdict = if run.passed() { "passed" } else { "failed" };
+    let mut text = format!("{}, seed {}: {verdict}", run.scenario, run.seed);
+    for failure in &run.failures {
+        text += &format!("\n  {failure}");
+    }
+    text += &format!("\n\n{:<26}{:>8}{:>8}{:>8}", "range", "fused", "fast", "network");
+    let mut row = |name: &str, value: fn(&CueFigures) -> String| {
+        let [fused, fast, network] = [&f.fused, &f.fast, &f.network].map(value);
+        text += &format!("\n  {name:<24}{fused:>8}{fast:>8}{network:>8}");
+    };
+    row("off by, mean, %", |cue| percent(cue.abs_rel, 2));
+    row("bias, %", |cue| percent(cue.bias, 2));
+    row("jitter, RMS, mm", |cue| number(cue.jitter_m.map(|m| 1e3 * m), 1));
+    row("known while visible, %", |cue| percent(cue.known_share, 1));
+    for (name, value) in [
+        ("  truth within 2 sd, %", percent(f.within_two_std, 1)),
+        ("gap, RMSE, m", number(f.gap_rmse_m, 3)),
+        ("off the path, RMSE, m", number(f.lateral_rmse_m, 3)),
+        ("least clearance, m", number(f.min_gap_m, 3)),
+        ("collisions", f.collisions.to_string()),
+        ("tracked while visible, %", percent(f.tracked_share, 1)),
+        ("seconds", number(Some(f.duration_s), 1)),
+        ("stops", f.stops.len().to_string()),
+    ] {
+        text += &format!("\n{name:<26}{value:>8}");
+    }
+    for stop in &f.stops {
+        let until = match stop.until_s {
+            Some(until) => format!("{} s", number(Some(until), 2)),
+            None => "the end".to_owned(),
+        };
+        text += &format!("\n  {} from {} s to {until}", stop.reason, number(Some(stop.from_s), 2));
+    }
+    text
+}
+
 /// A scenario that can be run.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct ScenarioRow<'a> {
@@ -315,6 +354,8 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use realnet_core::StopReason;
+    use realnet_sim::StopLog;
 
     fn cue(frames: usize, abs_rel: f64, jitter_m: f64) -> CueFigures {
         let (abs_rel, jitter_m) = (Some(abs_rel), Some(jitter_m));
@@ -367,6 +408,35 @@ hard-braking failed
   seed 0: 1 collision; least gap -0.02 m, at least 0.10 m asked";
         let table = runs_table(&runs());
         assert_eq!(format!("\n{table}"), expected, "{table}");
+    }
+
+    #[test]
+    fn the_table_of_one_run() {
+        let mut run = run("steady", 5, 2.0, &["1 collision"]);
+        run.figures.stops = vec![
+            StopLog { from_s: 0.0, until_s: Some(0.4), reason: StopReason::NoTarget },
+            StopLog { from_s: 14.9, until_s: None, reason: StopReason::TargetLost },
+        ];
+        let expected = "\
+steady, seed 5: failed
+  1 collision
+
+range                        fused    fast network
+  off by, mean, %             2.00       -    8.00
+  bias, %                        -       -       -
+  jitter, RMS, mm              4.0       -    50.0
+  known while visible, %         -       -       -
+  truth within 2 sd, %        95.0
+gap, RMSE, m                 0.040
+off the path, RMSE, m            -
+least clearance, m           0.450
+collisions                       0
+tracked while visible, %     100.0
+seconds                        0.0
+stops                            2
+  no-target from 0.00 s to 0.40 s
+  target-lost from 14.90 s to the end";
+        assert_eq!(run_table(&run), expected, "\n{}", run_table(&run));
     }
 
     #[test]

@@ -38,7 +38,7 @@
       cursor.setAttribute("d", `M${frame[0] + share * (frame[1] - frame[0])} ${frame[2]}V${frame[3]}`);
     }
     const [from, to] = chart.time;
-    const rows = [`${(from + share * (to - from)).toFixed(2)} s`];
+    const time = `${(from + share * (to - from)).toFixed(2)} s`;
     const list = document.createElement("dl");
     for (const { path, name, runs } of chart.lines) {
       const y = place(runs, left + share * (right - left));
@@ -53,7 +53,7 @@
       dd.textContent = value.toFixed(digits);
       list.append(dt, dd);
     }
-    tip.replaceChildren(rows[0], list);
+    tip.replaceChildren(time, list);
     tip.hidden = false;
     const aside = event.clientX + 18 + tip.offsetWidth > document.documentElement.clientWidth;
     tip.style.left = `${Math.max(4, aside ? event.clientX - 14 - tip.offsetWidth : event.clientX + 18)}px`;

@@ -2,6 +2,7 @@ use super::*;
 use realnet_core::nalgebra::Vector2;
 use realnet_core::{Pose2, StopReason, TrackStatus};
 use realnet_sim::{BodyLog, DepthMapLog, DetectionLog, FrameLog, RunFigures, StopLog, VehicleKind};
+use std::path::Path;
 
 /// Small differences that look like chance and are the same each time, -1 to 1.
 fn noise(index: usize) -> f64 {
@@ -14,7 +15,7 @@ fn noise(index: usize) -> f64 {
 
 /// A run of 20 s at 30 Hz that looks as one does: into a curve, a hard braking at
 /// 7 s, a standstill, off again, behind an obstacle from 14 to 15.2 s.
-pub(super) fn plausible() -> RunLog {
+pub(in crate::cli::sim) fn plausible() -> RunLog {
     let (dt, count) = (1.0 / 30.0, 600);
     let mut log = RunLog {
         scenario: "brake-and-hide".into(),
@@ -194,7 +195,7 @@ fn the_page_of_a_run_is_whole() {
     assert!(html.len() < 500_000, "{} bytes", html.len());
     assert_eq!(html, page(&run, &log, &options), "the same run is the same page");
     assert_eq!(page_name(&run), "brake-and-hide-7.html");
-    keep("run.html", &html);
+    keep("run.html", |path| std::fs::write(path, &html).unwrap());
 }
 
 #[test]
@@ -246,13 +247,13 @@ fn the_index_links_what_is_there() {
     assert!(html.contains("79 of 80 runs of 4 scenarios passed"), "{html}");
     assert!(html.contains("<a href=\"brake-and-hide-3.html\">seed 3</a>: 1 collision"), "{html}");
     assert_eq!(html.matches("class=\"failed\"").count(), 1);
-    keep("index.html", &html);
+    keep("index.html", |path| std::fs::write(path, &html).unwrap());
     well_formed(&index(&[], |_| true, ""));
 }
 
-/// Writes a page to the folder in `REALNET_KEEP_PAGES`, to look at it.
-fn keep(name: &str, html: &str) {
+/// What `write` makes, in the folder that `REALNET_KEEP_PAGES` names: to look at it.
+pub(in crate::cli::sim) fn keep(name: &str, write: impl FnOnce(&Path)) {
     if let Some(folder) = std::env::var_os("REALNET_KEEP_PAGES") {
-        std::fs::write(std::path::Path::new(&folder).join(name), html).unwrap();
+        write(&Path::new(&folder).join(name));
     }
 }
