@@ -144,3 +144,118 @@ pub(crate) fn command(vehicle: &VehicleOptions, stamp: Stamp, motion: Motion) ->
     let yaw_rate = vehicle.drive.yaw_rate(motion.speed, motion.turn);
     DriveCommand { stamp, speed: motion.speed, steering_angle, yaw_rate, stop: None }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Commands at 50 Hz for a while, each what is wanted at its time.
+    fn run(
+        limiter: &mut Limiter,
+        from: f64,
+        steps: u32,
+        wanted: impl Fn(f64) -> Motion,
+    ) -> Vec<DriveCommand> {
+        (0..steps)
+            .map(|step| {
+                let time = from + 0.02 * f64::from(step);
+                let command = limiter.limit(Stamp::from_secs_f64(time), wanted(time), 9.0);
+                limiter.sent(&command);
+                command
+            })
+            .collect()
+    }
+
+    const fn motion(speed: f64, turn: f64) -> Motion {
+        Motion { speed, turn }
+    }
+
+    #[test]
+    fn full_speed_and_lock_take_their_time() {
+        let mut limiter = Limiter::new(VehicleOptions::default());
+        let commands = run(&mut limiter, 0.0, 60, |_| motion(9.0, -9.0));
+        let when = |done: &dyn Fn(&DriveCommand) -> bool| {
+            commands.iter().find(|command| done(command)).unwrap().stamp.secs_f64()
+        };
+        // the first 0.1 m/s are in the dead band
+        assert!((when(&|c| c.speed >= 2.0) - 1.9 / 2.0).abs() < 0.03);
+        assert!((when(&|c| c.steering_angle <= -0.42) - 0.105).abs() < 0.03);
+        let commands = run(&mut limiter, 1.2, 60, |_| motion(0.0, 0.0));
+        let stopped = commands.iter().find(|command| command.speed == 0.0).unwrap();
+        // the last 0.1 m/s are in the dead band
+        assert!((stopped.stamp.secs_f64() - 1.2 - 1.9 / 4.0).abs() < 0.03);
+    }
+
+    #[test]
+    fn the_dead_band_has_hysteresis_and_a_pause() {
+        let mut limiter = Limiter::new(VehicleOptions::default());
+        let speeds = |commands: &[DriveCommand]| -> Vec<f64> {
+            commands.iter().map(|command| command.speed).collect()
+        };
+        let none = speeds(&run(&mut limiter, 0.0, 10, |_| motion(0.099, 0.0)));
+        assert!(none.iter().all(|speed| *speed == 0.0), "{none:?}");
+        let starts = speeds(&run(&mut limiter, 0.2, 10, |_| motion(0.1, 0.0)));
+        assert!(starts.iter().all(|speed| *speed == 0.1), "{starts:?}");
+        let stays = speeds(&run(&mut limiter, 0.4, 10, |_| motion(0.05, 0.0)));
+        assert!(stays.iter().all(|speed| *speed == 0.1), "{stays:?}");
+        let stops = speeds(&run(&mut limiter, 0.6, 1, |_| motion(0.03, 0.0)));
+        assert_eq!(stops, [0.0]);
+        let again = run(&mut limiter, 0.62, 40, |_| motion(0.2, 0.0));
+        let start = again.iter().find(|command| command.speed > 0.0).unwrap();
+        assert!((start.stamp.secs_f64() - 0.6 - 0.3).abs() < 0.021, "{start:?}");
+    }
+
+    #[test]
+    fn the_dead_band_lifts_nothing_over_the_ceiling() {
+        let mut limiter = Limiter::new(VehicleOptions::default());
+        run(&mut limiter, 0.0, 20, |_| motion(0.1, 0.0));
+        let command = limiter.limit(Stamp::from_secs_f64(0.5), motion(0.1, 0.0), 0.08);
+        assert_eq!(command.speed, 0.0);
+    }
+
+    #[test]
+    fn backwards_only_where_it_is_allowed_and_after_a_stop() {
+        let mut limiter = Limiter::new(VehicleOptions::default());
+        let commands = run(&mut limiter, 0.0, 50, |_| motion(-1.0, 0.0));
+        assert!(commands.iter().all(|command| command.speed == 0.0));
+        let vehicle = VehicleOptions { max_reverse_speed_m_s: 0.4, ..VehicleOptions::default() };
+        let mut limiter = Limiter::new(vehicle);
+        run(&mut limiter, 0.0, 50, |_| motion(1.0, 0.0));
+        let commands = run(&mut limiter, 1.0, 100, |_| motion(-1.0, 0.0));
+        let still = commands.iter().filter(|command| command.speed == 0.0).count();
+        assert!(still >= 14, "0.3 s are {still} steps");
+        assert_eq!(commands.last().unwrap().speed, -0.4);
+    }
+
+    #[test]
+    fn stamps_that_repeat_or_jump_back_change_nothing() {
+        let mut limiter = Limiter::new(VehicleOptions::default());
+        let last = *run(&mut limiter, 5.0, 20, |_| motion(1.0, 0.3)).last().unwrap();
+        for time in [last.stamp.secs_f64(), 1.0, -1e9] {
+            let command = limiter.limit(Stamp::from_secs_f64(time), motion(2.0, -0.4), 9.0);
+            assert_eq!(command.speed, last.speed);
+            assert_eq!(command.steering_angle, last.steering_angle);
+        }
+        // A long pause counts as a short one.
+        let command = limiter.limit(Stamp::from_secs_f64(1e6), motion(2.0, 0.3), 9.0);
+        assert!((command.speed - last.speed - 0.4).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_outer_wheel_of_a_robot_limits_its_speed() {
+        let mut limiter =
+            Limiter::new(VehicleOptions { max_speed_m_s: 1.0, ..VehicleOptions::robot() });
+        let last = *run(&mut limiter, 0.0, 80, |_| motion(1.0, 2.0)).last().unwrap();
+        assert!((last.speed - 0.8).abs() < 1e-9 && (last.yaw_rate - 2.0).abs() < 1e-9, "{last:?}");
+        assert_eq!(last.steering_angle, 0.0);
+    }
+
+    #[test]
+    fn trim_is_in_the_angle_and_not_in_the_rate_of_turn() {
+        let vehicle = VehicleOptions { steering_trim_rad: 0.05, ..VehicleOptions::default() };
+        let mut limiter = Limiter::new(vehicle);
+        let last = *run(&mut limiter, 0.0, 50, |_| motion(1.0, 0.1)).last().unwrap();
+        assert!((last.steering_angle - 0.15).abs() < 1e-12);
+        assert!((last.yaw_rate - 0.1_f64.tan() / 0.26).abs() < 1e-12);
+    }
+}

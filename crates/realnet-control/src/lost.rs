@@ -190,3 +190,74 @@ impl LostTarget {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realnet_core::TargetEstimate;
+    use realnet_core::nalgebra::{Matrix2, Vector2};
+
+    fn state(measured: f64, status: TrackStatus) -> TargetState {
+        TargetState {
+            stamp: Stamp::from_secs_f64(measured),
+            measured: Some(Stamp::from_secs_f64(measured)),
+            status,
+            estimate: Some(TargetEstimate {
+                position: Vector2::new(1.5, -0.1),
+                velocity: Vector2::zeros(),
+                acceleration: Vector2::zeros(),
+                position_covariance: Matrix2::zeros(),
+                velocity_covariance: Matrix2::zeros(),
+            }),
+        }
+    }
+
+    #[test]
+    fn a_coasting_track_is_followed_no_faster_than_before() {
+        let options = LostOptions::default();
+        let mut lost = LostTarget::default();
+        let mut step = |now: f64, measured: f64, status, speed| {
+            lost.step(&options, Stamp::from_secs_f64(now), &state(measured, status), speed)
+        };
+        assert_eq!(step(1.0, 1.0, TrackStatus::Tracking, 0.5), (Phase::Tracking, f64::INFINITY));
+        assert_eq!(step(1.1, 1.0, TrackStatus::Coasting, 0.5), (Phase::Coasting, 0.5));
+        assert_eq!(step(1.2, 1.0, TrackStatus::Coasting, 0.4), (Phase::Coasting, 0.4));
+        // The vehicle may be slower than its bound, the bound does not rise again.
+        assert_eq!(step(1.3, 1.0, TrackStatus::Coasting, 0.9), (Phase::Coasting, 0.5));
+        assert_eq!(step(1.4, 1.4, TrackStatus::Tracking, 0.4).1, f64::INFINITY);
+        // Too old, whatever the status says.
+        assert_eq!(step(1.7, 1.4, TrackStatus::Tracking, 0.4), (Phase::Coasting, 0.4));
+        let (phase, bound) = step(2.4, 1.4, TrackStatus::Tracking, 0.4);
+        assert!(phase == Phase::Slowing && (bound - 0.2).abs() < 1e-9, "{bound}");
+        assert_eq!(step(2.7, 1.4, TrackStatus::Tracking, 0.1), (Phase::Stopped, 0.0));
+    }
+
+    #[test]
+    fn no_time_for_slowing_is_no_division_by_zero() {
+        let options = LostOptions { slow_after_s: 1.25, ..LostOptions::default() };
+        assert!(options.check().is_ok());
+        let mut lost = LostTarget::default();
+        for i in 0..20 {
+            let now = Stamp::from_secs_f64(0.1 * f64::from(i));
+            let (_, bound) = lost.step(&options, now, &state(0.0, TrackStatus::Tracking), 1.0);
+            assert!(!bound.is_nan());
+        }
+    }
+
+    #[test]
+    fn the_search_goes_to_the_side_where_it_was_last() {
+        let search = Search::Turn { yaw_rate_rad_s: 1.0 };
+        let options = LostOptions { search, ..LostOptions::default() };
+        let mut lost = LostTarget::default();
+        let nothing = TargetState::default();
+        let mut step = |now: f64, state: &TargetState| {
+            let (phase, _) = lost.step(&options, Stamp::from_secs_f64(now), state, 0.0);
+            (phase, lost.search(&options))
+        };
+        assert_eq!(step(0.5, &nothing), (Phase::NoTarget, 0.0));
+        assert_eq!(step(1.0, &state(1.0, TrackStatus::Tracking)), (Phase::Tracking, 0.0));
+        assert_eq!(step(2.0, &nothing), (Phase::Stopped, 0.0));
+        assert_eq!(step(3.1, &nothing), (Phase::Searching, -1.0));
+        assert_eq!(step(11.1, &nothing), (Phase::Stopped, 0.0));
+    }
+}

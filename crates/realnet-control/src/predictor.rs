@@ -278,3 +278,163 @@ pub(crate) fn later(stamp: Stamp, seconds: f64) -> Stamp {
     // `as` saturates.
     Stamp::from_nanos(stamp.nanos().saturating_add((seconds * 1e9).round() as i64))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn at(seconds: f64) -> Stamp {
+        Stamp::from_secs_f64(seconds)
+    }
+
+    fn say(seconds: f64, speed: f64, steering_angle: f64) -> DriveCommand {
+        DriveCommand { stamp: at(seconds), speed, steering_angle, ..DriveCommand::default() }
+    }
+
+    /// The model as an equation, by small steps.
+    fn slowly(vehicle: &VehicleOptions, commands: &[DriveCommand], until: f64) -> (Pose2, Motion) {
+        let tick = 1e-4;
+        let mut pose = Pose2::IDENTITY;
+        let mut state = Motion::default();
+        for index in 0..(until / tick).round() as usize {
+            let time = index as f64 * tick;
+            let heard = |c: &&DriveCommand| c.stamp.secs_f64() + vehicle.dead_time_s <= time + 1e-9;
+            if let Some(command) = commands.iter().rev().find(heard) {
+                let runs = command.speed.abs() >= vehicle.dead_band.min_speed_m_s;
+                let goal = if runs { command.speed } else { 0.0 };
+                let rate = (goal - state.speed) / vehicle.speed_lag_s;
+                state.speed += rate.clamp(-4.0, 2.0) * tick;
+                let turn = command.steering_angle - vehicle.steering_trim_rad - state.turn;
+                state.turn += (turn / vehicle.steering_lag_s).clamp(-4.0, 4.0) * tick;
+            }
+            let yaw_rate = vehicle.drive.yaw_rate(state.speed, state.turn);
+            pose = pose.driven(state.speed, yaw_rate, tick);
+        }
+        (pose, state)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(50))]
+
+        #[test]
+        fn it_is_the_solution_of_the_model(
+            commands in prop::collection::vec((0.0..2.0f64, -0.4..0.4f64), 1..20),
+            trim in -0.1..0.1f64, until in 0.1..2.5f64,
+        ) {
+            let vehicle = VehicleOptions { steering_trim_rad: trim, ..VehicleOptions::default() };
+            let mut predictor = VehiclePredictor::new(vehicle).unwrap();
+            let commands: Vec<_> = commands
+                .iter()
+                .enumerate()
+                .map(|(i, (speed, angle))| say(0.1 * i as f64, *speed, *angle))
+                .collect();
+            commands.iter().for_each(|command| predictor.push(command));
+            let (pose, state) = slowly(&vehicle, &commands, until);
+            let motion = predictor.motion_at(at(until));
+            prop_assert!((motion.speed - state.speed).abs() < 2e-3, "{motion:?} {state:?}");
+            prop_assert!((motion.turn - state.turn).abs() < 2e-3, "{motion:?} {state:?}");
+            let predicted = predictor.advance(Pose2::IDENTITY, Stamp::ZERO, at(until));
+            prop_assert!((predicted.position() - pose.position()).norm() < 5e-3);
+            prop_assert!((predicted.heading - pose.heading).abs() < 1e-2);
+            // and back
+            let back = predictor.advance(predicted, at(until), Stamp::ZERO);
+            // stamps are whole nanoseconds
+            prop_assert!(back.position().norm() < 1e-6 && back.heading.abs() < 1e-6);
+        }
+
+        /// Corrections may come in any order, and after commands that are later.
+        #[test]
+        fn late_corrections_are_as_good_as_early_ones(
+            speeds in prop::array::uniform6(0.0..2.0f64), seed in any::<u64>(),
+        ) {
+            let vehicle = VehicleOptions::default();
+            let mut in_order = VehiclePredictor::new(vehicle).unwrap();
+            let mut late = in_order.clone();
+            let times: Vec<_> = (0..6).map(|i| 0.15 + 0.1 * f64::from(i)).collect();
+            for i in 0..8 {
+                let command = say(0.1 * f64::from(i), 0.5 + 0.1 * f64::from(i), 0.1);
+                late.push(&command);
+                in_order.push(&command);
+                for (time, speed) in times.iter().zip(speeds) {
+                    // as soon as its moment has passed
+                    if *time > 0.1 * f64::from(i) - 0.1 && *time <= 0.1 * f64::from(i) {
+                        in_order.correct(at(*time), Some(speed), Some(0.2));
+                    }
+                }
+            }
+            let mut order: Vec<_> = (0..6).collect();
+            order.sort_by_key(|i| seed.wrapping_mul(2 * i + 1) % 101);
+            for i in order {
+                late.correct(at(times[i as usize]), Some(speeds[i as usize]), Some(0.2));
+            }
+            for time in [0.2, 0.4, 0.66, 0.9] {
+                let (a, b) = (in_order.motion_at(at(time)), late.motion_at(at(time)));
+                prop_assert!((a.speed - b.speed).abs() < 1e-9, "{a:?} {b:?} at {time}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_correction_replaces_the_model_and_fades_into_it() {
+        let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
+        predictor.push(&say(0.0, 1.0, 0.0));
+        assert!((predictor.speed_at(at(5.0)) - 1.0).abs() < 1e-6);
+        predictor.correct(at(5.0), Some(0.8), Some(0.1));
+        assert_eq!(predictor.speed_at(at(5.0)), 0.8);
+        assert!((predictor.yaw_rate_at(at(5.0)) - 0.1).abs() < 1e-9);
+        assert!((predictor.speed_at(at(6.0)) - 1.0).abs() < 1e-3);
+        // numbers that are none, a rate of turn without speed
+        predictor.correct(at(5.0), Some(f64::NAN), Some(f64::INFINITY));
+        assert_eq!(predictor.speed_at(at(5.0)), 0.8);
+        predictor.correct(at(7.0), Some(0.01), Some(3.0));
+        assert!(predictor.motion_at(at(7.0)).turn.abs() < 1e-6);
+    }
+
+    #[test]
+    fn commands_in_the_dead_band_do_not_move_it() {
+        let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
+        predictor.push(&say(0.0, 0.09, 0.0));
+        assert_eq!(predictor.speed_at(at(3.0)), 0.0);
+        predictor.push(&say(3.0, 0.1, 0.0));
+        assert!((predictor.speed_at(at(6.0)) - 0.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn its_memory_is_bounded_and_the_oldest_goes_first() {
+        let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
+        for i in 0..1000 {
+            predictor.push(&say(0.03 * f64::from(i), 1.0, 0.1));
+            predictor.correct(at(0.03 * f64::from(i)), Some(1.1), None);
+            assert!(predictor.knots.len() <= VehiclePredictor::CAPACITY);
+        }
+        assert!(predictor.knots.iter().is_sorted_by_key(|knot| knot.stamp));
+        let oldest = predictor.knots[0].stamp;
+        predictor.correct(at(0.5), Some(0.0), None);
+        assert_eq!(predictor.knots[0].stamp, oldest, "too old to be remembered");
+        assert!(predictor.knots.len() <= VehiclePredictor::CAPACITY);
+    }
+
+    #[test]
+    fn a_clock_that_jumps_back_starts_it_anew_at_the_same_speed() {
+        let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
+        predictor.push(&say(1000.0, 1.0, 0.0));
+        predictor.push(&say(1003.0, 1.0, 0.0));
+        predictor.push(&say(5.0, 0.0, 0.0));
+        assert!((predictor.speed_at(at(5.1)) - 1.0).abs() < 1e-3);
+        assert!(predictor.speed_at(at(6.0)) < 1e-3);
+        predictor.reset();
+        assert_eq!(predictor.motion_at(at(9.0)), Motion::default());
+    }
+
+    #[test]
+    fn a_command_with_the_same_stamp_replaces_the_last() {
+        let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
+        predictor.push(&say(0.0, 1.0, 0.0));
+        predictor.push(&say(0.0, 0.5, 0.0));
+        assert!((predictor.speed_at(at(5.0)) - 0.5).abs() < 1e-6);
+        assert_eq!(predictor.knots.len(), 1);
+        let vehicle = VehicleOptions { dead_time_s: -1.0, ..VehicleOptions::default() };
+        assert!(VehiclePredictor::new(vehicle).is_err());
+    }
+}

@@ -197,3 +197,147 @@ fn unbroken<'a>(
     }
     trail.get(start..).unwrap_or(&[])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use realnet_core::Pose2;
+
+    fn options(rule: PursuitRule) -> PursuitOptions {
+        PursuitOptions { rule, ..PursuitOptions::default() }
+    }
+
+    fn points(points: &[(f64, f64)]) -> Vec<Vector2<f64>> {
+        points.iter().map(|(x, y)| Vector2::new(*x, *y)).collect()
+    }
+
+    /// After an arc of a curvature and a length.
+    fn driven(curvature: f64, length: f64) -> Pose2 {
+        Pose2::IDENTITY.driven(1.0, curvature, length)
+    }
+
+    proptest! {
+        #[test]
+        fn the_arc_to_the_target_leads_through_it(x in 0.4..5.0f64, y in -3.0..3.0f64) {
+            let target = Vector2::new(x, y);
+            let aim = aim(&options(PursuitRule::Target), &target, &[], 0.5, 1.0);
+            let turn = 2.0 * y.atan2(x);
+            let length = if turn.abs() < 1e-6 { x } else { turn / aim.curvature };
+            let end = driven(aim.curvature, length);
+            prop_assert!((end.position() - target).norm() < 1e-9);
+        }
+
+        /// What the paper's law means: where the circle's tangent leads to the target, its
+        /// distance is the desired one.
+        #[test]
+        fn the_papers_arc_ends_with_the_target_straight_ahead(
+            x in 1.5..5.0f64, y in -2.0..2.0f64, desired in 0.5..1.4f64,
+        ) {
+            let target = Vector2::new(x, y);
+            let aim = aim(&options(PursuitRule::Tangent), &target, &[], 0.5, desired);
+            prop_assume!(y.abs() > 1e-3);
+            // target = centre + R (sin t, -cos t) + d0 (cos t, sin t) after the turn t
+            let radius = 1.0 / aim.curvature;
+            let turn = (y - radius).atan2(x) + radius.atan2(desired);
+            let length = (turn * radius).rem_euclid(std::f64::consts::TAU * radius.abs());
+            let end = driven(aim.curvature, length).inverse().transform_point(&target);
+            prop_assert!((end - Vector2::new(desired, 0.0)).norm() < 1e-6, "{end}");
+        }
+
+        #[test]
+        fn left_and_right_are_the_same(
+            x in -3.0..3.0f64, y in -3.0..3.0f64, bend in -0.3..0.3f64, speed in 0.0..2.0f64,
+        ) {
+            for rule in [PursuitRule::Trail, PursuitRule::Target, PursuitRule::Tangent] {
+                let side = |sign: f64| {
+                    let target = Vector2::new(x, sign * y);
+                    let trail: Vec<_> = (0..20)
+                        .map(|i| {
+                            let back = 0.1 * f64::from(20 - i);
+                            Vector2::new(x - back, sign * (y + bend * back * back))
+                        })
+                        .collect();
+                    aim(&options(rule), &target, &trail, speed, 1.34)
+                };
+                let (left, right) = (side(1.0), side(-1.0));
+                prop_assert!((left.curvature + right.curvature).abs() < 1e-9);
+                prop_assert_eq!(left.on_trail, right.on_trail);
+            }
+        }
+
+        /// The point lies on the trail and on the circle.
+        #[test]
+        fn the_trail_is_cut_by_the_look_ahead_circle(
+            bend in -0.5..0.5f64, aside in -0.2..0.2f64, speed in 0.0..2.0f64, back in 0.0..1.0f64,
+        ) {
+            let shape = |x: f64| Vector2::new(x, aside + bend * x * x);
+            let trail: Vec<_> = (0..60).map(|i| shape(0.05 * f64::from(i) - back)).collect();
+            let target = shape(2.0);
+            let options = PursuitOptions { max_trail_jump_m: 3.0, ..PursuitOptions::default() };
+            let aim = aim(&options, &target, &trail, speed, 1.34);
+            prop_assert!(aim.on_trail);
+            let distance = aim.point.norm();
+            prop_assert!((distance - options.lookahead_m(speed)).abs() < 1e-9, "{distance}");
+            // chords of 5 cm of a curve
+            prop_assert!((aim.point - shape(aim.point.x)).norm() < 1e-3);
+            prop_assert!(aim.point.x > 0.0);
+        }
+    }
+
+    #[test]
+    fn the_trail_begins_ahead_or_aside() {
+        let options = options(PursuitRule::Trail);
+        // It begins 0.8 m ahead: on to a point of it, a little further than its begin.
+        let trail = points(&[(0.8, 0.1), (1.0, 0.1), (1.2, 0.1)]);
+        let ahead = aim(&options, &Vector2::new(1.4, 0.1), &trail, 0.0, 1.34);
+        assert!(ahead.on_trail && ahead.point.x > 0.8 && ahead.point.x < 1.2, "{ahead:?}");
+        // It runs past, 2 m to the left: towards it by 45 degrees, not straight across.
+        let trail: Vec<_> = (0..60).map(|i| Vector2::new(0.1 * f64::from(i) - 1.0, 2.0)).collect();
+        let aside = aim(&options, &Vector2::new(5.0, 2.0), &trail, 0.0, 1.34);
+        assert!(aside.on_trail && (aside.point - Vector2::new(2.0, 2.0)).norm() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_behind_is_no_aim() {
+        // The trail comes from behind, passes the robot and leads on.
+        let trail: Vec<_> = (0..60).map(|i| Vector2::new(0.05 * f64::from(i) - 2.0, 0.1)).collect();
+        let aim = aim(&options(PursuitRule::Trail), &Vector2::new(1.0, 0.1), &trail, 0.0, 1.34);
+        assert!(aim.on_trail && aim.point.x > 0.3);
+    }
+
+    #[test]
+    fn short_and_broken_trails_fall_back_to_the_target() {
+        let options = options(PursuitRule::Trail);
+        let target = Vector2::new(1.3, 0.2);
+        let direct = curvature_to(&target, options.min_lookahead_m);
+        let far = points(&[(5.0, 5.0), (5.2, 5.2)]);
+        for trail in [&[][..], &far] {
+            let aim = aim(&options, &target, trail, 0.5, 1.34);
+            assert!(!aim.on_trail);
+            assert_eq!((aim.point, aim.curvature), (target, direct));
+        }
+        // Of a trail with a jump only the newer part counts.
+        let jumps = points(&[(0.2, -0.1), (0.4, -0.1), (0.6, 0.5), (0.8, 0.5), (1.0, 0.4)]);
+        let jump = PursuitOptions { max_trail_jump_m: 0.4, ..options };
+        let aim = aim(&jump, &target, &jumps, 0.0, 1.34);
+        assert!(aim.on_trail && aim.point.y > 0.3, "{aim:?}");
+    }
+
+    #[test]
+    fn every_place_of_the_target_has_a_finite_curvature() {
+        for rule in [PursuitRule::Trail, PursuitRule::Target, PursuitRule::Tangent] {
+            for (x, y) in
+                [(0.0, 0.0), (1.34, 0.0), (1.34, 1e-12), (-1.0, 0.0), (-1.0, 0.1), (0.0, 1.0)]
+            {
+                let target = Vector2::new(x, y);
+                let again = [target; 4];
+                let aim = aim(&options(rule), &target, &again, 0.0, 1.34);
+                assert!(aim.curvature.abs() <= 2.0 * 1.35 / 0.35_f64.powi(2), "{rule:?} {aim:?}");
+            }
+        }
+        // A target behind is turned to as hard as one abeam.
+        let behind = aim(&options(PursuitRule::Target), &Vector2::new(-1.0, 0.01), &[], 0.0, 1.0);
+        assert!((behind.curvature - 2.0).abs() < 1e-3);
+    }
+}

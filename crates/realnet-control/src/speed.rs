@@ -299,3 +299,139 @@ impl SpeedBounds {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use realnet_core::nalgebra::Vector2;
+
+    fn gap(length_m: f64, target_speed_m_s: f64) -> Gap {
+        Gap {
+            length_m,
+            std_m: 0.0,
+            sight: Vector2::x(),
+            target_speed_m_s,
+            target_speed_std_m_s: 0.0,
+        }
+    }
+
+    const STILL: OwnMotion = OwnMotion { speed: 0.0, yaw_rate: 0.0 };
+
+    /// The gap when both have braked to a stand, the robot after its reaction time. A
+    /// target that comes nearer goes on until the robot stands.
+    fn left_over(options: &SpeedOptions, gap: &Gap, vehicle: &VehicleOptions, speed: f64) -> f64 {
+        let braking = options.brake_share * vehicle.max_deceleration_m_s2;
+        let reaction = options.perception_latency_s + vehicle.dead_time_s + vehicle.speed_lag_s;
+        let (mut own, mut target, mut left) = (speed, gap.target_speed_m_s, gap.length_m);
+        let tick = 1e-4;
+        let mut time = 0.0;
+        while own > 0.0 {
+            left += (target - own) * tick;
+            time += tick;
+            if time > reaction {
+                own -= braking * tick;
+            }
+            if target > 0.0 {
+                target = (target - options.target_deceleration_m_s2 * tick).max(0.0);
+            }
+        }
+        left + if target > 0.0 {
+            target * target / (2.0 * options.target_deceleration_m_s2)
+        } else {
+            0.0
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn at_the_stopping_speed_it_comes_to_a_stand_at_the_radius(
+            length in 0.4..6.0f64, target in -1.0..2.0f64,
+        ) {
+            let (options, vehicle) = (SpeedOptions::default(), VehicleOptions::default());
+            let gap = gap(length, target);
+            let speed = options.stopping_speed(&gap, &vehicle, 0.35);
+            prop_assert!(speed.is_finite() && speed >= 0.0);
+            if speed > 0.0 {
+                let left = left_over(&options, &gap, &vehicle, speed);
+                prop_assert!((left - 0.35).abs() < 2e-3, "{speed} m/s leave {left} m");
+            }
+        }
+    }
+
+    #[test]
+    fn doubt_makes_slow() {
+        let (options, vehicle) = (SpeedOptions::default(), VehicleOptions::default());
+        let sure = gap(1.2, 0.5);
+        let speed = |gap: &Gap| options.stopping_speed(gap, &vehicle, 0.35);
+        let range = Gap { std_m: 0.1, ..sure };
+        assert!((speed(&range) - speed(&gap(1.0, 0.5))).abs() < 1e-12);
+        let target = Gap { target_speed_std_m_s: 0.2, ..sure };
+        assert!((speed(&target) - speed(&gap(1.2, 0.3))).abs() < 1e-12);
+        assert_eq!(speed(&gap(0.3, 0.0)), 0.0);
+        assert_eq!(options.curve_speed(0.4), 2.5);
+        assert!(options.curve_speed(0.0).is_finite());
+    }
+
+    #[test]
+    fn at_the_desired_gap_it_drives_as_fast_as_the_target() {
+        let options = SpeedOptions::default();
+        let own = OwnMotion { speed: 0.6, yaw_rate: 0.0 };
+        let control = GapController::default().step(&options, &gap(1.0, 0.6), own, 0.34, 0.03);
+        assert!((control.speed_m_s - 0.6).abs() < 1e-12);
+        let headway = SpeedOptions { headway_s: 0.5, ..options };
+        let control = GapController::default().step(&headway, &gap(1.0, 0.6), own, 0.34, 0.03);
+        assert!((control.desired_m - 1.3).abs() < 1e-12 && control.speed_m_s < 0.6);
+    }
+
+    /// Both on one circle: the line of sight is a chord of it, the gap stays.
+    #[test]
+    fn on_a_circle_the_feed_forward_is_the_speed_of_both() {
+        let (radius, front, speed) = (1.5_f64, 0.34, 0.5);
+        let ahead = 0.9_f64;
+        let target = radius * Vector2::new(ahead.sin(), 1.0 - ahead.cos());
+        let velocity = speed * Vector2::new(ahead.cos(), ahead.sin());
+        let line = target - Vector2::new(front, 0.0);
+        let sight = line.normalize();
+        let target_speed_m_s = sight.dot(&velocity);
+        let gap = Gap { length_m: line.norm(), sight, target_speed_m_s, ..gap(1.0, 0.0) };
+        let own = OwnMotion { speed, yaw_rate: speed / radius };
+        let control =
+            GapController::default().step(&SpeedOptions::default(), &gap, own, front, 0.03);
+        assert!((control.feed_forward_m_s - speed).abs() < 1e-9, "{control:?}");
+        assert!(control.rate_m_s.abs() < 1e-9, "{control:?}");
+    }
+
+    #[test]
+    fn the_integral_waits_while_the_command_is_limited() {
+        let options = SpeedOptions::default();
+        let mut controller = GapController::default();
+        let mut step = |length, sent: Option<f64>| {
+            let control = controller.step(&options, &gap(length, 0.0), STILL, 0.34, 0.1);
+            controller.sent(sent.unwrap_or(control.speed_m_s));
+            control.integral_m_s
+        };
+        // 0.3 m too far for 10 s, and it cannot go faster: nothing but the first step.
+        for _ in 0..100 {
+            assert!(step(1.3, Some(0.1)) <= 0.2 * 0.3 * 0.1 + 1e-12);
+        }
+        // It can go slower.
+        assert!(step(0.9, None) < 0.2 * 0.3 * 0.1);
+        // Not limited it grows, up to its bound, but not far from the desired gap.
+        for _ in 0..200 {
+            step(1.3, None);
+        }
+        assert!((step(1.3, None) - 0.3).abs() < 1e-12);
+        assert!((step(2.0, None) - 0.3).abs() < 1e-12);
+        controller.reset();
+        assert_eq!(controller, GapController::default());
+    }
+
+    #[test]
+    fn the_least_bound_is_named() {
+        let bounds = SpeedBounds { vehicle: 2.0, stopping: 1.0, curve: 1.5, lost: f64::INFINITY };
+        assert_eq!(bounds.least(), (1.0, SpeedBound::Stopping));
+        let bounds = SpeedBounds { lost: 0.2, ..bounds };
+        assert_eq!(bounds.least(), (0.2, SpeedBound::Lost));
+    }
+}
