@@ -1,9 +1,9 @@
 //! What all scenarios have in common, and the tools to change it.
 
-use super::world::{SceneKind, SceneSpec};
 use super::{CameraSetup, Expectations, FollowerSetup, Scenario, Setup};
 use crate::dynamics::{DriveTrain, VehicleDynamics};
 use crate::perception::{DepthNetworkModel, DetectorModel, Random, random_stream};
+use crate::scene::{SceneKind, SceneSpec};
 use crate::traffic::{Route, ScriptedVehicle, SpeedProfile};
 use crate::{VehicleKind, VehicleState};
 use rand::RngExt;
@@ -143,6 +143,12 @@ impl Draft {
         self.setup.target = Some(target);
     }
 
+    /// A camera that sees 90 degrees across, bent by its lens.
+    pub(super) fn wide_camera(&mut self) {
+        let bent = Distortion::PlumbBob([-0.06, 0.008, 0.0, 0.0, 0.0]);
+        self.setup.camera.model = lens(320.0, bent);
+    }
+
     /// The vehicle that follows is another one.
     pub(super) fn follower(&mut self, kind: VehicleKind) {
         let drawn = self.setup.follower.dynamics;
@@ -208,10 +214,8 @@ impl Draft {
 
 /// 640 x 360 pixels, 70 degrees across, 30 frames a second.
 fn camera(noise: f64, exposure_s: f64) -> CameraSetup {
-    let intrinsics = Intrinsics { fx: 457.0, fy: 457.0, cx: 319.5, cy: 179.5 };
     CameraSetup {
-        model: CameraModel::new(640, 360, intrinsics, Distortion::None)
-            .unwrap_or_else(|_| unreachable!("constants that make a camera")),
+        model: lens(457.0, Distortion::None),
         mount: CameraMount::default(),
         rate_hz: 30.0,
         latency_s: 0.02,
@@ -220,6 +224,13 @@ fn camera(noise: f64, exposure_s: f64) -> CameraSetup {
         knocks: Vec::new(),
         outages: Vec::new(),
     }
+}
+
+/// A camera of 640 x 360 pixels. All focal lengths and lenses used make one.
+fn lens(focal: f64, distortion: Distortion) -> CameraModel {
+    let intrinsics = Intrinsics { fx: focal, fy: focal, cx: 319.5, cy: 179.5 };
+    CameraModel::new(640, 360, intrinsics, distortion)
+        .unwrap_or_else(|error| unreachable!("a constant camera: {error}"))
 }
 
 /// What the follower is told about its vehicle.

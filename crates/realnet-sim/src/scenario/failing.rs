@@ -1,9 +1,10 @@
 //! What fails.
 
+use super::StopRule;
 use super::draft::Draft;
 use super::driving::{ahead, stops};
-use super::{LightChange, StopRule};
 use crate::perception::{ChannelFault, DepthFault, Window};
+use crate::scene::LightChange;
 use realnet_core::StopReason;
 
 pub(super) fn no_target(draft: &mut Draft) {

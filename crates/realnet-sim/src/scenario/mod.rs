@@ -25,12 +25,12 @@ mod list;
 mod seeing;
 mod setup;
 mod traffic;
-mod world;
 
 pub use expectations::{Expectations, StopRule};
 pub use list::Scenario;
 pub use setup::{CameraSetup, FollowerSetup, Knock, Setup};
-pub use world::{LightChange, SceneKind, SceneSpec, TextureLevel};
 
+#[cfg(test)]
+mod ideal;
 #[cfg(test)]
 mod tests;

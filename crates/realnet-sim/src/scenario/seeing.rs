@@ -1,8 +1,9 @@
 //! What the camera sees.
 
+use super::Knock;
 use super::draft::Draft;
 use super::driving::{ahead, starting};
-use super::{Knock, LightChange, TextureLevel};
+use crate::scene::{LightChange, TextureLevel};
 
 pub(super) fn low_light(draft: &mut Draft) {
     ahead(draft, 0.5);

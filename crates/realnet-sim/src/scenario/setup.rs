@@ -1,9 +1,9 @@
 //! Everything that a run needs to be told.
 
 use super::Expectations;
-use super::world::SceneSpec;
 use crate::dynamics::VehicleDynamics;
 use crate::perception::{DepthNetworkModel, DetectorModel, Window};
+use crate::scene::SceneSpec;
 use crate::traffic::ScriptedVehicle;
 use crate::{VehicleKind, VehicleState};
 use realnet_control::ControlOptions;
