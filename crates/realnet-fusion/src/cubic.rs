@@ -289,3 +289,140 @@ impl Cubic {
 fn powers(t: f64) -> [f64; 4] {
     [1.0, t, t * t, t * t * t]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn at(seconds: f64) -> Stamp {
+        Stamp::from_secs_f64(seconds)
+    }
+
+    fn isotropic(std: f64) -> Matrix2<f64> {
+        Matrix2::from_diagonal_element(std * std)
+    }
+
+    /// Deviates by the sine of its index: no random numbers needed.
+    fn noise(index: usize) -> Vector2<f64> {
+        Vector2::new((7.1 * index as f64).sin(), (3.3 * index as f64 + 1.0).sin())
+    }
+
+    proptest! {
+        /// A cubic is found again wherever in time it lies, whatever the order.
+        #[test]
+        fn a_cubic_is_itself(
+            c in proptest::collection::vec(-2.0..2.0f64, 8), start in -1e5..1e5f64,
+            span in 0.1..5.0f64, count in 4..40_usize, rotate in 0..40_usize,
+        ) {
+            let value = |t: f64| {
+                let p = powers(t);
+                let axis = |k: usize| (0..4).map(|i| c[2 * i + k] * p[i]).sum();
+                Vector2::new(axis(0), axis(1))
+            };
+            let mut path = CubicTrajectory::new(64, 10.0);
+            for i in 0..count {
+                let t = span * ((i + rotate) % count) as f64 / (count - 1) as f64;
+                path.insert(at(start + t), value(t), &isotropic(0.02)).unwrap();
+            }
+            let cubic = path.fit().unwrap();
+            prop_assert_eq!(cubic.degree(), 3);
+            prop_assert!((cubic.span_s() - span).abs() < 1e-8);
+            for t in [0.0, 0.3 * span, span, 1.2 * span] {
+                let found = cubic.at(at(start + t));
+                // stamps are whole nanoseconds
+                let error = (found.position - value(t)).norm();
+                prop_assert!(error < 1e-5, "{error} at {t}");
+                let step = 1e-4;
+                let velocity = (value(t + step) - value(t - step)) / (2.0 * step);
+                prop_assert!((found.velocity - velocity).norm() < 1e-4 / span.min(1.0));
+            }
+        }
+    }
+
+    #[test]
+    fn few_positions_lower_the_degree() {
+        let mut path = CubicTrajectory::new(8, 10.0);
+        assert_eq!(path.fit().unwrap_err(), CubicError::NoPoints);
+        for (count, degree) in [(1, 0), (2, 1), (3, 2), (4, 3), (5, 3)] {
+            let t = f64::from(count) * 0.1;
+            path.insert(at(t), Vector2::new(t * t, 1.0), &isotropic(0.01)).unwrap();
+            let cubic = path.fit().unwrap();
+            assert_eq!(cubic.degree(), degree);
+            let end = cubic.at(at(t));
+            assert!((end.position - Vector2::new(t * t, 1.0)).norm() < 1e-9);
+            assert!((end.position_covariance - isotropic(0.01)).norm() < 1e-9 || count > 4);
+        }
+    }
+
+    #[test]
+    fn weights_follow_the_deviations_and_their_directions() {
+        let mut path = CubicTrajectory::new(64, 10.0);
+        let ray = |along: f64, across: f64| {
+            let turn = Matrix2::new(0.6, -0.8, 0.8, 0.6);
+            let stds = Matrix2::new(along * along, 0.0, 0.0, across * across);
+            turn * stds * turn.transpose()
+        };
+        // Two kinds at alternate stamps: each sure where the other one is not.
+        for i in 0..40 {
+            let along = Vector2::new(0.6, 0.8) * 0.5;
+            let across = Vector2::new(-0.8, 0.6) * 0.5;
+            let t = at(f64::from(i) * 0.05);
+            if i % 2 == 0 {
+                path.insert(t, along, &ray(10.0, 0.01)).unwrap();
+            } else {
+                path.insert(t, across, &ray(0.01, 10.0)).unwrap();
+            }
+        }
+        let middle = path.fit().unwrap().at(at(1.0));
+        assert!(middle.position.norm() < 1e-3, "{}", middle.position);
+    }
+
+    #[test]
+    fn the_covariance_is_that_of_the_errors() {
+        // The covariance of a linear estimate is the sum over the positions of the square
+        // of what each one alone moves.
+        let fill = |moved: Option<usize>| {
+            let mut path = CubicTrajectory::new(64, 10.0);
+            for i in 0..25 {
+                let std = if i % 3 == 0 { 0.02 } else { 0.05 };
+                let push = if moved == Some(i) { std } else { 0.0 };
+                let position = noise(i) + Vector2::new(push, 0.0);
+                path.insert(at(i as f64 * 0.04), position, &isotropic(std)).unwrap();
+            }
+            path.fit().unwrap().at(at(1.1))
+        };
+        let base = fill(None);
+        let (mut position, mut velocity) = (0.0, 0.0);
+        for i in 0..25 {
+            let moved = fill(Some(i));
+            position += (moved.position.x - base.position.x).powi(2);
+            velocity += (moved.velocity.x - base.velocity.x).powi(2);
+        }
+        assert!((base.position_covariance[(0, 0)] / position - 1.0).abs() < 1e-6);
+        assert!((base.velocity_covariance[(0, 0)] / velocity - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_buffer_is_by_stamp_and_bounded() {
+        let mut path = CubicTrajectory::new(5, 1.0);
+        let mut insert = |t: f64, x: f64| path.insert(at(t), Vector2::new(x, 0.0), &isotropic(0.1));
+        for t in [0.3, 0.1, 0.2, 0.1] {
+            insert(t, t).unwrap();
+        }
+        insert(0.2, 9.0).unwrap();
+        let bad = insert(0.25, f64::NAN).unwrap_err();
+        assert_eq!(bad, CubicError::BadPoint { stamp: at(0.25) });
+        let singular = path.insert(at(0.25), Vector2::zeros(), &Matrix2::zeros());
+        assert!(singular.is_err());
+        let xs = |path: &CubicTrajectory| path.points().map(|(_, p)| p.x).collect::<Vec<_>>();
+        assert_eq!(xs(&path), [0.1, 9.0, 0.3]);
+        for t in [0.4, 0.5, 0.6, 0.0] {
+            path.insert(at(t), Vector2::new(t, 0.0), &isotropic(0.1)).unwrap();
+        }
+        assert_eq!(xs(&path), [9.0, 0.3, 0.4, 0.5, 0.6], "full: the oldest went");
+        path.insert(at(1.45), Vector2::new(1.45, 0.0), &isotropic(0.1)).unwrap();
+        assert_eq!(xs(&path), [0.5, 0.6, 1.45], "the window is 1 s");
+        assert_eq!((path.len(), path.is_empty()), (3, false));
+    }
+}

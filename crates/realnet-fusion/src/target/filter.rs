@@ -104,7 +104,8 @@ impl TargetFilter {
     /// Where the target was at each measured stamp from `since` on, the oldest first;
     /// within the horizon by what is known now of the measurements up to each.
     pub fn trail(&mut self, since: Stamp) -> impl Iterator<Item = TrailPoint> {
-        let old = self.old_trail.iter().filter(move |point| point.stamp >= since).copied();
+        let first = self.old_trail.partition_point(|point| point.stamp < since);
+        let old = self.old_trail.range(first..).copied();
         let mut kept = self.filter.states(since).peekable();
         // Of several measurements with one stamp the last has all of them in it.
         let kept = std::iter::from_fn(move || {

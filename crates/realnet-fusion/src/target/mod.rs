@@ -5,6 +5,7 @@ mod measurement;
 mod model;
 mod motion;
 mod options;
+mod seen;
 mod track;
 
 pub use filter::TargetFilter;

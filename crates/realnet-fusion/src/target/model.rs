@@ -7,10 +7,11 @@
 use super::measurement::{Outcome, RangeSource, Reading, Source, TargetMeasurement};
 use super::motion;
 use super::options::{SharedError, StatusTimes, TargetOptions};
+use super::seen::{Camera, Seen};
 use super::track::TrailPoint;
 use crate::gaussian::Gaussian;
 use crate::late::{BadMeasurement, Model};
-use realnet_core::nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use realnet_core::nalgebra::{SMatrix, SVector, Vector2};
 use realnet_core::{Stamp, TrackStatus};
 
 /// Maps whose scale errors are followed at a time: ranges of the one before the newest
@@ -22,10 +23,9 @@ const GROUND: usize = NETWORK + 1;
 const SIZE: usize = NETWORK + 2;
 const STATES: usize = NETWORK + 3;
 
-/// Nearer than this along the optical axis a target is not in view, metres.
-const NEAREST: f64 = 0.01;
-/// The logarithm of the range stays within this of zero: 45 µm to 22 km.
-const LONGEST_LOG: f64 = 10.0;
+/// Change of the logarithm of the range after which the error of the ground ranges is
+/// another one.
+const GROUND_STEP: f64 = 0.15;
 
 type Row = SVector<f64, STATES>;
 
@@ -70,6 +70,9 @@ pub(crate) struct TargetMoment {
     alive: bool,
     /// Which map's scale error is in which place.
     maps: [Option<Stamp>; MAPS],
+    camera: Option<Camera>,
+    /// The range, roughly, at which the error of the ground ranges was learned.
+    ground_depth: f64,
     streams: [StreamState; 4],
     /// The last ones, used or not, to begin a track with.
     last_direction: Option<TargetMeasurement>,
@@ -140,20 +143,6 @@ impl TargetMoment {
     }
 }
 
-/// A measurement and the state in the camera's log-polar coordinates: the logarithm
-/// of the depth and the tangent of the direction.
-struct Relation {
-    /// Depth, metres, and tangent of the estimate.
-    depth: f64,
-    tangent: f64,
-    /// Derivative of (log depth, tangent) by the position in the fixed frame.
-    jacobian: Matrix2<f64>,
-    /// Derivative of the measurement by the state, the position in log-polar.
-    row: Row,
-    residual: f64,
-    variance: f64,
-}
-
 pub(crate) struct TargetModel {
     options: TargetOptions,
 }
@@ -177,6 +166,8 @@ impl TargetModel {
             gaussian,
             alive: false,
             maps: [None; MAPS],
+            camera: None,
+            ground_depth: 1.0,
             streams: [StreamState::default(); 4],
             last_direction: None,
             last_range: None,
@@ -194,11 +185,25 @@ impl TargetModel {
         moment.gaussian.transform_first(&transition, &noise, &variances);
     }
 
-    /// The place of a map's scale error; a new map takes the place of the oldest. None
-    /// for a map that is older than all that are followed. Depends on stamps alone.
-    fn place_of(&self, moment: &mut TargetMoment, map: Stamp) -> Option<usize> {
+    /// The error of the ground ranges is not the same at another range. It is kept as one
+    /// number, made less certain when the range changes by more than its noise: to follow
+    /// it as an angle would make the scale observable by any error of that angle's model.
+    fn move_ground_error(&self, moment: &mut TargetMoment, depth: f64) {
+        let before = moment.ground_depth;
+        if (depth / before).ln().abs() > GROUND_STEP {
+            let grown = (depth * depth - before * before).abs();
+            let variance = self.options.ground_error.std.powi(2) * grown;
+            moment.gaussian.add_noise_to(GROUND, variance);
+            moment.ground_depth = depth;
+        }
+    }
+
+    /// The place of a map's scale error, and whether the map is new. A new map takes the
+    /// place of the oldest. None for a map that is older than all that are followed.
+    /// Depends on stamps alone.
+    fn place_of(&self, moment: &mut TargetMoment, map: Stamp) -> Option<(usize, bool)> {
         if let Some(place) = moment.maps.iter().position(|known| *known == Some(map)) {
-            return Some(FIRST_MAP + place);
+            return Some((FIRST_MAP + place, false));
         }
         // None sorts before all stamps.
         let (place, oldest) = moment.maps.iter_mut().enumerate().min_by_key(|(_, map)| **map)?;
@@ -207,51 +212,7 @@ impl TargetModel {
         }
         *oldest = Some(map);
         moment.gaussian.renew(FIRST_MAP + place, NETWORK, self.options.map_scale_std.powi(2));
-        Some(FIRST_MAP + place)
-    }
-
-    fn relate(
-        &self,
-        moment: &mut TargetMoment,
-        measurement: &TargetMeasurement,
-    ) -> Result<Relation, Outcome> {
-        let to_camera = measurement.fixed_from_camera.rotation().transpose();
-        let camera = measurement.fixed_from_camera.position();
-        let mut row = Row::zeros();
-        let place = match measurement.reading {
-            Reading::Range { source: RangeSource::Network { map }, .. } => {
-                self.place_of(moment, map).ok_or(Outcome::OldMap)?
-            }
-            Reading::Range { source: RangeSource::Ground, .. } => GROUND,
-            Reading::Range { source: RangeSource::Size, .. } => SIZE,
-            Reading::Direction { .. } => 1,
-        };
-        let seen = to_camera * (moment.position() - camera);
-        let depth = seen.x;
-        if depth.is_nan() || depth <= NEAREST {
-            return Err(Outcome::OutOfView);
-        }
-        let tangent = seen.y / depth;
-        let error = moment.gaussian.mean()[place];
-        let (residual, std) = match measurement.reading {
-            Reading::Direction { tangent: measured, std, .. } => {
-                row[1] = 1.0;
-                (measured - tangent, std)
-            }
-            Reading::Range { depth_m, relative_std, source: RangeSource::Ground } => {
-                row[0] = (1.0 + error * depth).max(0.2);
-                row[GROUND] = depth;
-                (depth_m.ln() - depth.ln() - error * depth, relative_std)
-            }
-            Reading::Range { depth_m, relative_std, .. } => {
-                row[0] = 1.0;
-                row[place] = 1.0;
-                (depth_m.ln() - depth.ln() - error, relative_std)
-            }
-        };
-        let polar = Matrix2::new(1.0, 0.0, -tangent, 1.0) / depth;
-        let jacobian = polar * to_camera;
-        Ok(Relation { depth, tangent, jacobian, row, residual, variance: std * std })
+        Some((FIRST_MAP + place, true))
     }
 
     /// Uses a measurement if its residual is within `gate` deviations.
@@ -261,39 +222,63 @@ impl TargetModel {
         measurement: &TargetMeasurement,
         gate: f64,
     ) -> Outcome {
-        let relation = match self.relate(moment, measurement) {
-            Ok(relation) => relation,
-            Err(outcome) => return outcome,
+        let pose = &measurement.fixed_from_camera;
+        let camera = Camera::moved_to(moment.camera, measurement.stamp, pose);
+        moment.camera = Some(camera);
+        let (place, tells_errors) = match measurement.reading {
+            Reading::Range { source: RangeSource::Network { map }, .. } => {
+                match self.place_of(moment, map) {
+                    Some(place) => place,
+                    None => return Outcome::OldMap,
+                }
+            }
+            Reading::Range { source: RangeSource::Ground, .. } => (GROUND, true),
+            Reading::Range { source: RangeSource::Size, .. } => (SIZE, true),
+            Reading::Direction { .. } => (1, false),
         };
-        let Relation { depth, tangent, jacobian, row, residual, variance } = relation;
-        // The same row with the position in the fixed frame.
-        let along = jacobian.transpose() * Vector2::new(row[0], row[1]);
-        let mut fixed_row = row;
-        fixed_row[0] = along.x;
-        fixed_row[1] = along.y;
-        let spread = moment.gaussian.variance_along(&fixed_row) + variance;
+        let state = moment.gaussian.mean().fixed_rows::<6>(0).into_owned();
+        let Some(seen) = Seen::new(&state, pose, &camera) else {
+            return Outcome::OutOfView;
+        };
+        if place == GROUND {
+            self.move_ground_error(moment, seen.depth());
+        }
+        // The derivative by what is seen, and by the errors.
+        let mut row = Row::zeros();
+        let error = moment.gaussian.mean()[place];
+        let (by_log_depth, by_tangent, residual, std) = match measurement.reading {
+            Reading::Direction { tangent, std, .. } => (0.0, 1.0, tangent - seen.tangent, std),
+            Reading::Range { depth_m, relative_std, .. } => {
+                row[place] = 1.0;
+                (1.0, 0.0, depth_m.ln() - seen.log_depth - error, relative_std)
+            }
+        };
+        let by_state = seen.seen_by_state(pose);
+        for axis in 0..2 {
+            row[axis] = by_log_depth * by_state[(0, axis)] + by_tangent * by_state[(1, axis)];
+        }
+        let gaussian = &mut moment.gaussian;
+        let spread = gaussian.variance_along(&row) + std * std;
         let deviations = residual / spread.sqrt();
         if deviations.is_nan() || deviations.abs() > gate {
             return Outcome::Gated { deviations };
         }
-        // In log-polar coordinates all that is measured is linear: no iteration is
-        // needed, and what is not observable (the common scale of the range and the
-        // map's error) stays so, although the estimate that it is linearised at moves.
-        let none = (SMatrix::<f64, 2, 0>::zeros(), SVector::<f64, 0>::zeros());
-        let gaussian = &mut moment.gaussian;
-        gaussian.transform_first(&jacobian, &none.0, &none.1);
-        gaussian.mean_mut()[0] = depth.ln();
-        gaussian.mean_mut()[1] = tangent;
-        let used = gaussian.update(residual, &row, variance).is_ok();
-        let depth = gaussian.mean()[0].clamp(-LONGEST_LOG, LONGEST_LOG).exp();
-        let tangent = gaussian.mean()[1];
-        let pose = &measurement.fixed_from_camera;
-        let position = pose.transform_point(&Vector2::new(depth, tangent * depth));
-        let cartesian = pose.rotation() * Matrix2::new(1.0, 0.0, tangent, 1.0) * depth;
-        gaussian.transform_first(&cartesian, &none.0, &none.1);
-        gaussian.mean_mut()[0] = position.x;
-        gaussian.mean_mut()[1] = position.y;
-        if used { Outcome::Used { deviations } } else { Outcome::Gated { deviations } }
+        let count = if tells_errors { STATES } else { FIRST_MAP };
+        if gaussian.update_first(residual, &row, std * std, count).is_err() {
+            return Outcome::Gated { deviations };
+        }
+        // The correction is made in the coordinates of what is seen, where it is linear:
+        // no iteration is needed. The deviations are those of these coordinates, too, so
+        // they go along when the estimate moves. Otherwise each correction would turn the
+        // direction that is not observable, and the filter would believe to have seen it.
+        let change = by_state * (gaussian.mean().fixed_rows::<6>(0) - state);
+        let corrected = seen.plus(&change);
+        let transport = corrected.state_by_seen(pose) * by_state;
+        let none = (SMatrix::<f64, 6, 0>::zeros(), SVector::<f64, 0>::zeros());
+        gaussian.transform_first(&transport, &none.0, &none.1);
+        let state = corrected.state(pose, &camera);
+        gaussian.mean_mut().fixed_rows_mut::<6>(0).copy_from(&state);
+        Outcome::Used { deviations }
     }
 
     /// Begins a track at `now`, the stamp of the last range or direction, if the other
@@ -314,13 +299,10 @@ impl TargetModel {
         let mean = moment.gaussian.mean();
         let depth = match source {
             RangeSource::Network { map } => match self.place_of(moment, map) {
-                Some(place) => depth_m / moment.gaussian.mean()[place].exp(),
+                Some((place, _)) => depth_m / moment.gaussian.mean()[place].exp(),
                 None => return Outcome::OldMap,
             },
-            RangeSource::Ground => {
-                let error = mean[GROUND];
-                (0..4).fold(depth_m, |depth, _| depth_m * (-error * depth).clamp(-1.0, 1.0).exp())
-            }
+            RangeSource::Ground => depth_m / mean[GROUND].exp(),
             RangeSource::Size => depth_m / mean[SIZE].exp(),
         };
         let poses = (direction.fixed_from_camera, range.fixed_from_camera);
@@ -332,6 +314,7 @@ impl TargetModel {
         }
         let place = Vector2::new(depth, depth * sin / cos);
         let position = poses.1.transform_point(&place);
+        self.move_ground_error(moment, depth);
         let options = &self.options;
         // So wide that the two measurements alone decide where it is.
         let spread = (10.0 * place.norm()).powi(2);
@@ -444,6 +427,7 @@ impl Model for TargetModel {
             let kept = (-seconds / time_s).exp().max(1e-6);
             moment.gaussian.scale(place, kept);
             let gained = -(-2.0 * seconds / time_s).exp_m1();
+            let std = if place == GROUND { std * moment.ground_depth } else { std };
             moment.gaussian.add_noise_to(place, std * std * gained);
         }
     }
