@@ -28,8 +28,10 @@ pub struct RunLog {
     pub follower_size: Option<VehicleSize>,
     /// Footprint of the target; `None` also when there is no target.
     pub target_size: Option<VehicleSize>,
-    /// What else stands or drives about: walls, obstacles, other vehicles.
+    /// What else stands or drives about: obstacles, other vehicles.
     pub bodies: Vec<BodyLog>,
+    /// Corners of the walls around all, in order, in the world; empty in the open.
+    pub walls: Vec<Vector2<f64>>,
 }
 
 /// One camera frame of a run.
@@ -108,7 +110,7 @@ pub struct DetectionLog {
 pub struct BodyLog {
     /// What it is, in a word or two.
     pub name: String,
-    /// Corners of its footprint, in its own frame, metres.
+    /// Corners of its footprint, convex, in its own frame, metres.
     pub outline: Vec<Vector2<f64>>,
     /// Where it is, one pose for each frame of the run; a single one for what
     /// does not move.

@@ -16,6 +16,9 @@ use plots::Plots;
 use realnet_sim::{CueFigures, RunLog};
 use std::fmt::Write as _;
 
+/// Stops that are listed.
+const MOST_STOPS: usize = 40;
+
 /// What a page says besides the run.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PageOptions<'a> {
@@ -139,7 +142,7 @@ fn stops(run: &RunResult) -> String {
         "<table class=\"stops\"><thead><tr><th scope=\"col\">Stop</th><th scope=\"col\">from, s</th>\
          <th scope=\"col\">until, s</th></tr></thead><tbody>",
     );
-    for stop in &run.figures.stops {
+    for stop in run.figures.stops.iter().take(MOST_STOPS) {
         let until = stop.until_s.map_or("the end".to_owned(), |until| number(Some(until), 2));
         let _ = write!(
             html,
@@ -149,6 +152,9 @@ fn stops(run: &RunResult) -> String {
         );
     }
     html.push_str("</tbody></table>\n");
+    if let Some(more) = run.figures.stops.len().checked_sub(MOST_STOPS).filter(|more| *more > 0) {
+        let _ = writeln!(html, "<p class=\"note\">… and {more} more.</p>");
+    }
     html
 }
 

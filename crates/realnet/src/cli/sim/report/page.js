@@ -1,4 +1,5 @@
-// A cross hair through all charts over time, with the values under it. The values are
+// A cross hair through all charts over time with the values under it, and dots where
+// the vehicles are at that time in the view from above. The values are
 // read from the lines that are drawn; without scripts the page lacks nothing else.
 (() => {
   const charts = [...document.querySelectorAll("svg[data-time]")].map((svg) => {
@@ -15,6 +16,10 @@
     svg.append(cursor);
     return { svg, cursor, lines, frame: numbers("frame"), time: numbers("time"), values: numbers("values") };
   });
+  const dots = [...document.querySelectorAll("circle[data-track]")].map((dot) => ({
+    dot,
+    track: dot.dataset.track.split(" ").map((place) => place.split(",")),
+  }));
   const tip = document.createElement("div");
   tip.className = "tip";
   tip.hidden = true;
@@ -36,6 +41,12 @@
     const share = Math.min(1, Math.max(0, (x - left) / (right - left)));
     for (const { cursor, frame } of charts) {
       cursor.setAttribute("d", `M${frame[0] + share * (frame[1] - frame[0])} ${frame[2]}V${frame[3]}`);
+    }
+    for (const { dot, track } of dots) {
+      const [cx, cy] = track[Math.round(share * (track.length - 1))];
+      dot.setAttribute("cx", cx);
+      dot.setAttribute("cy", cy);
+      dot.classList.add("shown");
     }
     const [from, to] = chart.time;
     const time = `${(from + share * (to - from)).toFixed(2)} s`;
@@ -62,6 +73,7 @@
   const hide = () => {
     tip.hidden = true;
     for (const { cursor } of charts) cursor.setAttribute("d", "");
+    for (const { dot } of dots) dot.classList.remove("shown");
   };
   for (const chart of charts) {
     chart.svg.addEventListener("pointermove", (event) => show(chart, event));

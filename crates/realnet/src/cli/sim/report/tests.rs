@@ -118,13 +118,11 @@ pub(in crate::cli::sim) fn plausible() -> RunLog {
             outline: outline(0.3, 0.2),
             poses: vec![Pose2::new(5.0, 3.2, 0.4)],
         },
-        BodyLog {
-            name: "wall".into(),
-            outline: outline(6.0, 0.05),
-            poses: vec![Pose2::new(5.0, -2.4, 0.0)],
-        },
         BodyLog { name: "buggy".into(), outline: outline(0.14, 0.09), poses: walker },
     ];
+    log.walls = [(-1.5, -2.4), (12.5, -2.4), (12.5, 8.0), (-1.5, 8.0)]
+        .map(|(x, y)| Vector2::new(x, y))
+        .to_vec();
     log
 }
 

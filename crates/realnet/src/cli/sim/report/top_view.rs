@@ -31,9 +31,9 @@ pub(super) fn html(log: &RunLog) -> String {
             "<li><svg class=\"swatch target\" viewBox=\"0 0 22 12\"><path class=\"line\" d=\"M0 6H22\"/></svg>target</li>",
         );
     }
-    if !log.bodies.is_empty() {
+    if !log.bodies.is_empty() || !log.walls.is_empty() {
         html.push_str(
-            "<li><svg class=\"swatch other\" viewBox=\"0 0 22 12\"><path class=\"body\" d=\"M4 1H18V11H4Z\"/></svg>other bodies</li>",
+            "<li><svg class=\"swatch other\" viewBox=\"0 0 22 12\"><path class=\"body\" d=\"M4 1H18V11H4Z\"/></svg>all else</li>",
         );
     }
     html.push_str("</ul></figcaption>\n");
@@ -96,6 +96,11 @@ impl<'a> View<'a> {
                 low = low.inf(&corner);
                 high = high.sup(&corner);
             }
+        }
+        for corner in &log.walls {
+            let corner = corner.sup(&near_low).inf(&near_high);
+            low = low.inf(&corner);
+            high = high.sup(&corner);
         }
         let (low, high) = (low - Vector2::repeat(AIR), high + Vector2::repeat(AIR));
         let size = high - low;
@@ -192,6 +197,10 @@ impl Map<'_> {
 
     fn bodies(&self, svg: &mut String) {
         svg.push_str("<g class=\"other\">");
+        if !self.view.log.walls.is_empty() {
+            let walls = self.outline(self.view.log.walls.iter().copied());
+            let _ = writeln!(svg, "<path class=\"wall\" d=\"{walls}\"><title>wall</title></path>");
+        }
         for body in &self.view.log.bodies {
             let name = escape(&body.name);
             if body.poses.len() > 1 {
@@ -230,6 +239,7 @@ impl Map<'_> {
             let (x, y) = self.at(&start.position());
             let _ = write!(svg, "<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\"/>");
         }
+        self.moment(svg, &poses);
         let (mut due, mut count) = (self.view.every, 0);
         let mut labelled: Option<(f64, f64)> = None;
         let mut last: Option<(f64, f64)> = None;
@@ -272,6 +282,18 @@ impl Map<'_> {
             }
         }
         svg.push_str("</g>\n");
+    }
+
+    /// A dot for the cross hair of the charts: its places at equal times.
+    fn moment(&self, svg: &mut String, poses: &[Pose2]) {
+        let last = poses.len().saturating_sub(1);
+        let samples = last.min(240);
+        let places: Vec<String> = (0..=samples)
+            .filter_map(|sample| poses.get(sample * last / samples.max(1)))
+            .map(|pose| self.at(&pose.position()))
+            .map(|(x, y)| format!("{x:.1},{y:.1}"))
+            .collect();
+        let _ = write!(svg, "<circle class=\"now\" r=\"6\" data-track=\"{}\"/>", places.join(" "));
     }
 
     /// A path through places, without those that are less than a pixel from the last.

@@ -52,6 +52,9 @@ impl<'a> Inset<'a> {
         for ring in 1..=(metres.floor() as i32) {
             pad.ring(f64::from(ring));
         }
+        for (from, to) in self.run.walls.iter().zip(self.run.walls.iter().cycle().skip(1)) {
+            pad.line(from, to, OTHER);
+        }
         for body in &self.run.bodies {
             let pose = body.poses.get(self.index).or(body.poses.last());
             pad.polygon(&body.outline, pose.copied().unwrap_or_default(), OTHER);
@@ -130,9 +133,13 @@ impl Pad<'_> {
         });
     }
 
-    /// A convex polygon, counter-clockwise in its own frame.
+    /// A convex polygon in its own frame.
     fn polygon(&mut self, corners: &[Vector2<f64>], pose: Pose2, color: [u8; 3]) {
         let corners: Vec<_> = corners.iter().map(|c| self.at(&pose.transform_point(c))).collect();
+        // Twice the area; its sign says which way around the corners go.
+        let next = corners.iter().cycle().skip(1);
+        let area: f64 = corners.iter().zip(next).map(|(a, b)| a.x * b.y - a.y * b.x).sum();
+        let side = -area.signum();
         let (Some(first), Some(last)) = (corners.first().copied(), corners.last().copied()) else {
             return;
         };
@@ -140,13 +147,12 @@ impl Pad<'_> {
         let high = corners.iter().fold(first, |high, corner| high.sup(corner));
         let reach = Vector2::repeat(1.0);
         self.paint(low - reach, high + reach, color, |p| {
-            // The farthest outside of its edges; on the picture y goes down, so that
-            // what is counter-clockwise above has its inside at the other hand.
+            // How far it is outside of the edge that it is farthest outside of.
             let mut from = last;
             let mut outside = f64::NEG_INFINITY;
             for to in &corners {
                 let edge = (to - from).try_normalize(1e-9).unwrap_or_default();
-                outside = outside.max(edge.x * (p - from).y - edge.y * (p - from).x);
+                outside = outside.max(side * (edge.x * (p - from).y - edge.y * (p - from).x));
                 from = *to;
             }
             0.5 - outside
