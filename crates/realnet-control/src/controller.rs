@@ -251,9 +251,7 @@ impl Controller {
         if self.telemetry.phase != Phase::Tracking {
             speed = speed.max(0.0);
         }
-        let stands = self.limiter.last().speed == 0.0;
-        let doubt = options.speed.restart_error_m.max(options.speed.range_sigmas * gap.std_m);
-        if stands && control.error_m.abs() <= doubt {
+        if self.limiter.last().speed == 0.0 && !options.speed.restarts(&gap, &control) {
             speed = 0.0;
         }
         let turn = match vehicle.drive {

@@ -227,7 +227,9 @@ impl Governor {
             // Without a clock to go by there is no ramp.
             if seconds >= 0.0 && speed >= self.vehicle.dead_band.min_speed_m_s {
                 sent.speed = speed.copysign(self.last.speed);
-                sent.yaw_rate = wheels.yaw_rate;
+                // the same curvature
+                let slower = if wheels.speed == 0.0 { 0.0 } else { sent.speed / wheels.speed };
+                sent.yaw_rate = wheels.yaw_rate * slower.clamp(0.0, 1.0);
             }
         }
         let lost = matches!(reason, StopReason::TargetLost | StopReason::NoTarget);

@@ -45,10 +45,20 @@ pub struct VehiclePredictor {
 struct Knot {
     stamp: Stamp,
     goal: Motion,
+    /// Whether a command set `goal` here; otherwise it is that of the knot before.
+    commanded: bool,
     state: Motion,
     /// Whether `state` was measured: then it does not follow from the knot before.
     speed_measured: bool,
     turn_measured: bool,
+}
+
+impl Knot {
+    /// The first one: the motion is taken to be known, and to go on.
+    const fn start(stamp: Stamp, state: Motion) -> Self {
+        let (speed_measured, turn_measured) = (true, true);
+        Self { stamp, goal: state, commanded: false, state, speed_measured, turn_measured }
+    }
 }
 
 impl VehiclePredictor {
@@ -96,12 +106,12 @@ impl VehiclePredictor {
         let speed = if command.speed.abs() < 0.999 * least { 0.0 } else { command.speed };
         let goal = Motion { speed, turn };
         let stamp = later(command.stamp, self.vehicle.dead_time_s);
-        if self.last_push.is_some_and(|last| command.stamp < last) {
-            let state = self.knots.back().map_or(Motion::default(), |knot| knot.state);
+        if let Some(last) = self.last_push.filter(|last| command.stamp < *last) {
+            let state = self.motion_at(last);
             self.knots.clear();
-            let knot = Knot { stamp, goal, state, speed_measured: true, turn_measured: true };
-            self.knots.push_back(knot);
-        } else {
+            self.knots.push_back(Knot { goal, commanded: true, ..Knot::start(stamp, state) });
+        } else if self.knots.back().is_none_or(|last| last.goal != goal || last.stamp > stamp) {
+            // (the same again, as timers send it, changes nothing)
             self.insert(stamp, Some(goal), None, None);
         }
         self.last_push = Some(command.stamp);
@@ -189,6 +199,7 @@ impl VehiclePredictor {
             }
             Some(before) => Knot {
                 stamp,
+                commanded: false,
                 state: self.evolve(&before, stamp),
                 speed_measured: false,
                 turn_measured: false,
@@ -196,10 +207,13 @@ impl VehiclePredictor {
             },
             None => {
                 let state = self.knots.front().map_or(Motion::default(), |knot| knot.state);
-                Knot { stamp, goal: state, state, speed_measured: true, turn_measured: true }
+                Knot::start(stamp, state)
             }
         };
-        knot.goal = goal.unwrap_or(knot.goal);
+        if let Some(goal) = goal {
+            knot.goal = goal;
+            knot.commanded = true;
+        }
         if let Some(speed) = speed {
             knot.state.speed = speed;
             knot.speed_measured = true;
@@ -225,12 +239,14 @@ impl VehiclePredictor {
         self.replay(place + 1, knot);
     }
 
-    /// The states from `first` on, anew; a command that was pushed late has changed the
-    /// goals of corrections behind it too.
+    /// The states from `first` on, anew, and the goals up to the next command.
     fn replay(&mut self, first: usize, mut before: Knot) {
         for index in first..self.knots.len() {
             let Some(mut knot) = self.knots.get(index).copied() else { return };
             let state = self.evolve(&before, knot.stamp);
+            if !knot.commanded {
+                knot.goal = before.goal;
+            }
             if !knot.speed_measured {
                 knot.state.speed = state.speed;
             }
@@ -392,6 +408,27 @@ mod tests {
     }
 
     #[test]
+    fn a_command_acts_on_corrections_that_came_before_it() {
+        let vehicle = VehicleOptions { dead_time_s: 0.0, ..VehicleOptions::default() };
+        let mut predictor = VehiclePredictor::new(vehicle).unwrap();
+        predictor.push(&say(0.0, 1.0, 0.0));
+        predictor.correct(at(2.1), Some(0.9), None);
+        predictor.push(&say(2.0, 0.5, 0.0));
+        assert_eq!(predictor.speed_at(at(2.1)), 0.9);
+        assert!((predictor.speed_at(at(4.0)) - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_same_command_again_takes_no_room() {
+        let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
+        for i in 0..100 {
+            predictor.push(&say(0.01 * f64::from(i), 1.0, 0.0));
+        }
+        assert_eq!(predictor.knots.len(), 1);
+        assert!((predictor.speed_at(at(5.0)) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
     fn commands_in_the_dead_band_do_not_move_it() {
         let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
         predictor.push(&say(0.0, 0.09, 0.0));
@@ -404,7 +441,7 @@ mod tests {
     fn its_memory_is_bounded_and_the_oldest_goes_first() {
         let mut predictor = VehiclePredictor::new(VehicleOptions::default()).unwrap();
         for i in 0..1000 {
-            predictor.push(&say(0.03 * f64::from(i), 1.0, 0.1));
+            predictor.push(&say(0.03 * f64::from(i), 1.0 + f64::from(i % 2), 0.1));
             predictor.correct(at(0.03 * f64::from(i)), Some(1.1), None);
             assert!(predictor.knots.len() <= VehiclePredictor::CAPACITY);
         }

@@ -26,9 +26,12 @@ pub struct SpeedOptions {
     /// With a gap error beyond this the integral waits, metres.
     pub integral_band_m: f64,
     /// A robot that stands goes on when the gap is off by more than this, metres, and by
-    /// more than [`SpeedOptions::range_sigmas`] deviations: the noise of a standing
-    /// target's speed and distance must not make it creep.
+    /// more than [`SpeedOptions::range_sigmas`] deviations, or when the target drives off:
+    /// the noise of a standing target's distance must not make the robot creep.
     pub restart_error_m: f64,
+    /// The target drives off when it is faster than this, metres a second, and by as many
+    /// deviations.
+    pub restart_speed_m_s: f64,
     /// Greatest lateral acceleration in curves, metres a second squared.
     pub max_lateral_acceleration_m_s2: f64,
     /// What the target is taken to be able to brake with, metres a second squared.
@@ -56,6 +59,7 @@ impl Default for SpeedOptions {
             max_integral_m_s: 0.3,
             integral_band_m: 0.4,
             restart_error_m: 0.08,
+            restart_speed_m_s: 0.1,
             max_lateral_acceleration_m_s2: 2.5,
             target_deceleration_m_s2: 4.0,
             brake_share: 0.8,
@@ -87,6 +91,7 @@ impl SpeedOptions {
         OptionError::not_negative("speed.max_integral_m_s", self.max_integral_m_s)?;
         OptionError::not_negative("speed.integral_band_m", self.integral_band_m)?;
         OptionError::not_negative("speed.restart_error_m", self.restart_error_m)?;
+        OptionError::not_negative("speed.restart_speed_m_s", self.restart_speed_m_s)?;
         OptionError::positive(
             "speed.max_lateral_acceleration_m_s2",
             self.max_lateral_acceleration_m_s2,
@@ -126,6 +131,15 @@ impl SpeedOptions {
         let room = room + 0.5 * away * away / self.target_deceleration_m_s2 - nearer * reaction;
         let slowness = reaction + nearer / braking;
         braking * ((slowness * slowness + 2.0 * room.max(0.0) / braking).sqrt() - slowness)
+    }
+
+    /// Whether a robot that stands has a reason to go on, which noise is not.
+    #[must_use]
+    pub fn restarts(&self, gap: &Gap, control: &GapControl) -> bool {
+        let sigmas = self.range_sigmas;
+        let off = self.restart_error_m.max(sigmas * gap.std_m);
+        let fast = self.restart_speed_m_s + sigmas * gap.target_speed_std_m_s;
+        control.error_m.abs() > off || control.feed_forward_m_s > fast
     }
 
     /// The greatest speed on a curve, metres a second: from the lateral acceleration
@@ -264,7 +278,7 @@ impl SpeedBound {
 }
 
 /// The bounds of the speed in a step, metres a second.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SpeedBounds {
     /// [`SpeedBound::Vehicle`].
     pub vehicle: f64,
@@ -274,12 +288,6 @@ pub struct SpeedBounds {
     pub curve: f64,
     /// [`SpeedBound::Lost`]; infinite while the target is tracked.
     pub lost: f64,
-}
-
-impl Default for SpeedBounds {
-    fn default() -> Self {
-        Self { vehicle: 0.0, stopping: 0.0, curve: 0.0, lost: 0.0 }
-    }
 }
 
 impl SpeedBounds {
@@ -425,6 +433,21 @@ mod tests {
         assert!((step(2.0, None) - 0.3).abs() < 1e-12);
         controller.reset();
         assert_eq!(controller, GapController::default());
+    }
+
+    #[test]
+    fn noise_is_no_reason_to_go_on() {
+        let options = SpeedOptions::default();
+        let restarts = |length, speed, std_m, target_speed_std_m_s| {
+            let gap = Gap { std_m, target_speed_std_m_s, ..gap(length, speed) };
+            let control = GapController::default().step(&options, &gap, STILL, 0.34, 0.03);
+            options.restarts(&gap, &control)
+        };
+        assert!(!restarts(1.07, 0.05, 0.02, 0.05));
+        assert!(restarts(1.09, 0.05, 0.02, 0.05));
+        assert!(!restarts(1.09, 0.05, 0.05, 0.05));
+        // the target drives off
+        assert!(restarts(1.02, 0.25, 0.05, 0.05) && !restarts(1.02, 0.25, 0.05, 0.1));
     }
 
     #[test]

@@ -44,6 +44,7 @@ const OPTIONS: &[(&str, Change, &[f64])] = &[
     ("speed.max_integral_m_s", |o, v| o.speed.max_integral_m_s = v, &[-0.1]),
     ("speed.integral_band_m", |o, v| o.speed.integral_band_m = v, &[-0.1]),
     ("speed.restart_error_m", |o, v| o.speed.restart_error_m = v, &[-0.1]),
+    ("speed.restart_speed_m_s", |o, v| o.speed.restart_speed_m_s = v, &[-0.1]),
     (
         "speed.max_lateral_acceleration_m_s2",
         |o, v| o.speed.max_lateral_acceleration_m_s2 = v,
