@@ -14,6 +14,12 @@
 //!
 //! There is no lateral drift: the base frame's origin moves along its x axis. At the
 //! speeds of small robots the side-slip of the rear axle is below a degree.
+//!
+//! Why not a crate of rigid bodies: the wheeled vehicle of `rapier` is in three
+//! dimensions only, and friction of contacts has no limits that could be stated and
+//! tested; a robot in the plane needs a speed, a curvature and the circle that bounds
+//! both. Distances of footprints are a few lines in the numbers used here; `parry2d`
+//! would bring a second linear algebra for them.
 
 mod ackermann;
 mod actuator;
@@ -26,6 +32,9 @@ pub use actuator::{Motor, Steering};
 pub use differential::Differential;
 pub use footprint::{clearance, gap_ahead};
 pub use vehicle::{DriveTrain, DynamicsError, Vehicle, VehicleDynamics};
+
+#[cfg(test)]
+mod tests;
 
 /// Acceleration of gravity, m/s^2.
 pub const GRAVITY: f64 = 9.81;
