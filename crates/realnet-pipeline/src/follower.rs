@@ -118,6 +118,18 @@ impl Follower {
         &self.options
     }
 
+    /// Pitch of the camera against the ground, radians, positive: nose down.
+    #[must_use]
+    pub fn pitch(&self) -> realnet_range::cues::Uncertain {
+        self.ranging.pitch_rad()
+    }
+
+    /// The newest range by a depth map alone.
+    #[must_use]
+    pub const fn network_range(&self) -> Option<SeenRange> {
+        self.network
+    }
+
     /// The controller, for its telemetry.
     #[must_use]
     pub const fn controller(&self) -> &Controller {
@@ -197,8 +209,9 @@ impl Follower {
         self.ranging.keep();
     }
 
-    /// Takes what the detector found on the frame of `stamp`.
-    pub fn detections(&mut self, stamp: Stamp, detections: &[Detection]) {
+    /// Takes what the detector found on the frame of `stamp`. Answers with the target's
+    /// box there, if it is among it.
+    pub fn detections(&mut self, stamp: Stamp, detections: &[Detection]) -> Option<TargetBox> {
         let Self { sight, ranging, odometry, fusion, options, height, .. } = self;
         let expected = expectation(fusion, odometry, &options.mount, stamp);
         let allowed =
@@ -221,6 +234,7 @@ impl Follower {
         if let Some(at) = found {
             self.measure_direction(&at, DirectionSource::Detection);
         }
+        found
     }
 
     /// Takes a depth map, whenever it comes.

@@ -7,7 +7,7 @@ use realnet_core::{BoundingBox, CameraModel, DepthMap, Frame, Stamp};
 use realnet_range::cues::{
     BoxDepth, DepthInBox, DepthInBoxError, DepthInBoxOptions, DepthNoise, GroundFit,
     GroundFitOptions, GroundPlane, GroundPrior, GroundRange, OptionError, PeakRule, PitchFilter,
-    PitchFilterOptions, SigmaRule, Uncertain, pitch_from_translation,
+    PitchFilterOptions, PitchMeasurement, SigmaRule, Uncertain, pitch_from_translation,
 };
 use realnet_range::motion::{BodyMotion, Motion, MotionError, MotionOptions, MotionTracker};
 use realnet_vision::Pyramid;
@@ -17,6 +17,8 @@ use thiserror::Error;
 const HEAVE_STD_M: f64 = 0.002;
 /// Own noise of a depth in the box, as a share: what is left of the pixels' noise.
 const MAP_STD: f64 = 0.005;
+/// How far a depth map's patches tilt what is measured in it, radians.
+const MAP_BEND_RAD: f64 = 0.04;
 /// A box must not reach within this of the picture's edge for its height to be known.
 const BORDER_PX: f32 = 2.0;
 
@@ -33,6 +35,9 @@ pub struct RangingOptions {
     pub pitch_std_rad: f64,
     /// Whether the target's foot on the ground is a range of its own.
     pub ground_range: bool,
+    /// How far behind the target's seen surface its foot stands, metres: the overhang of
+    /// a car over its rear wheels.
+    pub foot_behind_m: f64,
 }
 
 impl Default for RangingOptions {
@@ -43,6 +48,7 @@ impl Default for RangingOptions {
             map_std: 0.1,
             pitch_std_rad: 0.01,
             ground_range: true,
+            foot_behind_m: 0.05,
         }
     }
 }
@@ -108,7 +114,11 @@ impl Ranging {
         options: RangingOptions,
     ) -> Result<Self, RangingError> {
         let pitch = Uncertain::new(mount.pitch_rad, options.pitch_std_rad);
-        let filter = PitchFilterOptions { floor_std_rad: 0.003, ..PitchFilterOptions::default() };
+        let filter = PitchFilterOptions {
+            process_std: 0.002,
+            floor_std_rad: 0.003,
+            ..PitchFilterOptions::default()
+        };
         let motion = MotionOptions { scale_std: options.map_std, ..options.motion };
         Ok(Self {
             options,
@@ -180,6 +190,7 @@ impl Ranging {
         });
         let found = scaled.and_then(|bbox| self.in_box(map, bbox, expected).ok());
         let gate = found.and_then(|_| self.depth_in_box.foreground(&SigmaRule::default()).ok());
+        self.level_by_way();
         let kept = self.tracker.set_depth(map, gate.map(|foreground| foreground.gate).as_ref());
         let point = found.zip(at).and_then(|(found, at)| self.lift(&at.bbox, found.depth_m));
         if kept.is_ok() {
@@ -216,9 +227,31 @@ impl Ranging {
     /// Corrects the pitch by the ground in a map.
     fn level_by(&mut self, map: &DepthMap, target: Option<BoundingBox>) {
         if let Some(plane) = self.fit_ground(map, target) {
-            // Numbers out of range leave the filter as it was.
-            let _ = self.pitch.update(&plane.measurement());
+            self.correct_pitch(plane.measurement());
         }
+    }
+
+    /// Corrects the pitch by the direction in which the camera went since the last map.
+    /// Once a map: what is measured on the way there errs alike.
+    fn level_by_way(&mut self) {
+        let Some(body) = self.tracker.motion().and_then(|motion| motion.background.as_ref().ok())
+        else {
+            return;
+        };
+        let covariance = body.estimate.covariance;
+        let roll = Uncertain::new(0.0, 0.01);
+        let moved = pitch_from_translation(&body.now_from_then(), &covariance, roll, HEAVE_STD_M);
+        if let Ok(moved) = moved {
+            self.correct_pitch(moved);
+        }
+    }
+
+    /// Depth maps bend: a pitch by one of them has an error that its own deviation does
+    /// not know.
+    fn correct_pitch(&mut self, measured: PitchMeasurement) {
+        let std_rad = measured.std_rad.hypot(MAP_BEND_RAD);
+        // Numbers out of range leave the filter as it was.
+        let _ = self.pitch.update(&PitchMeasurement { std_rad, ..measured });
     }
 
     fn fit_ground(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> Option<GroundPlane> {
@@ -275,7 +308,10 @@ impl Ranging {
             ..GroundRange::new(height, Uncertain::exact(pitch.value))
         };
         let found = cue.measure(&self.camera, at.bbox).ok()?;
-        Some(self.seen(at.stamp, found.foot, found.std_m / found.depth_m))
+        // The way from the foot to the surface is one along the ground.
+        let surface = found.foot.coords * (1.0 - self.options.foot_behind_m / found.depth_m);
+        let share = found.std_m / found.depth_m;
+        (surface.z > 0.0).then(|| self.seen(at.stamp, Point3::from(surface), share))
     }
 
     /// Tangent of the direction to a box, left positive, in the plane, with its
@@ -336,8 +372,7 @@ fn depth_std(body: &BodyMotion, point: &Point3<f64>) -> f64 {
     (body.estimate.covariance * row).dot(&row).max(0.0).sqrt()
 }
 
-/// Carries the pitch over the rotation from the last frame to this one, and corrects
-/// it by the direction in which the camera went.
+/// Carries the pitch over the rotation from the last frame to this one.
 fn nod(
     pitch: &mut PitchFilter,
     before: &mut Option<(Stamp, Stamp, realnet_core::Pose)>,
@@ -354,15 +389,6 @@ fn nod(
             let seconds = motion.now.seconds_since(stamp).max(0.0);
             let std = body.estimate.rotation_std() * std::f64::consts::SQRT_2;
             let _ = pitch.predict(&step.rotation(), std, seconds);
-        }
-        let moved = pitch_from_translation(
-            &pose,
-            &body.estimate.covariance,
-            Uncertain::new(0.0, 0.01),
-            HEAVE_STD_M,
-        );
-        if let Ok(moved) = moved {
-            let _ = pitch.update(&moved);
         }
         *before = Some((motion.then, motion.now, pose));
     } else {

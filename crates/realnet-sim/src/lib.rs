@@ -1,5 +1,6 @@
 //! A world with ground truth: rooms, cars, camera, latency and faults.
 
+mod closed_loop;
 pub mod dynamics;
 mod log;
 mod metrics;
@@ -10,6 +11,7 @@ pub mod scene;
 pub mod traffic;
 mod vehicle;
 
+pub use closed_loop::{Moment, RunError, VEHICLE_CLASS, follower_options, run, run_with};
 pub use log::{BodyLog, DepthMapLog, DetectionLog, FrameLog, RunLog, StopLog};
 pub use metrics::{CueFigures, RunFigures};
 pub use vehicle::{VehicleKind, VehicleSize, VehicleState};

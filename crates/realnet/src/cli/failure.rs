@@ -43,6 +43,8 @@ pub(crate) enum Outcome {
     Done,
     /// Some inputs were bad, and were reported; the rest was done.
     BadInputs,
+    /// All was done, and something that was tried did not pass.
+    Failed,
     /// Ctrl-C came; what was done is whole.
     Interrupted,
 }
@@ -51,6 +53,7 @@ pub(crate) enum Outcome {
 pub(crate) fn exit_code(result: Result<Outcome, Error>) -> ExitCode {
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Failed) => ExitCode::FAILURE,
         Ok(Outcome::BadInputs) => ExitCode::from(2),
         Ok(Outcome::Interrupted) => ExitCode::from(130),
         // Whoever read our output went away: `realnet detect … | head`.

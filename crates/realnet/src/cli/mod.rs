@@ -41,6 +41,8 @@ enum Command {
     /// Measure ranging and following on recorded data.
     #[command(subcommand)]
     Eval(eval::EvalCommand),
+    /// Follow a target in a simulated world, scenario by scenario.
+    Sim(sim::SimArgs),
     /// Say which inference engines were found, where, and what they can do.
     Engines(engines::EnginesArgs),
 }
@@ -61,9 +63,25 @@ pub(crate) fn run() -> ExitCode {
         Command::Convert(args) => convert::run(&args),
         Command::Val(ValCommand::Detect(args)) => val::run(&args),
         Command::Eval(command) => eval::run(&command),
+        Command::Sim(args) => sim::run(&args),
         Command::Engines(args) => engines::run(&args),
     };
     failure::exit_code(result)
+}
+
+/// How the program was called, for reports.
+pub(crate) fn command_line() -> String {
+    let mut line = "realnet".to_owned();
+    for word in std::env::args_os().skip(1) {
+        let word = word.to_string_lossy();
+        let plain = |c: char| c.is_alphanumeric() || "-_=./:,+@%".contains(c);
+        if !word.is_empty() && word.chars().all(plain) {
+            line = format!("{line} {word}");
+        } else {
+            line = format!("{line} '{}'", word.replace('\'', r"'\''"));
+        }
+    }
+    line
 }
 
 #[cfg(test)]

@@ -1,6 +1,287 @@
-//! `realnet sim`: its results as JSON, as tables, as pages and as videos.
-#![allow(dead_code, reason = "the command is wired when the closed loop stands")]
+//! `realnet sim`: the follower in the simulator, and data sets from it.
 
 mod json;
 mod report;
 mod table;
+mod video;
+
+use super::failure::{OrBadInput, Outcome, bad_input, say};
+use super::output::Output;
+use super::{command_line, interrupt, progress};
+use anyhow::{Context, Result};
+use clap::Args;
+use json::RunResult;
+use realnet_io::atomic;
+use realnet_sim::scenario::Scenario;
+use realnet_sim::{RunFigures, RunLog};
+use report::PageOptions;
+use std::fmt::Write as _;
+use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use table::ScenarioRow;
+use video::RunVideo;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  realnet sim --list
+  realnet sim --scenario hard-braking --seed 3 --report out/ --video out/hard-braking.mp4
+  realnet sim --all --seeds 20 --report out/")]
+pub(crate) struct SimArgs {
+    #[command(flatten)]
+    what: WhatArgs,
+    /// Seed of a run: rooms, light, vehicles, latencies and noise are drawn from it.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Runs of each scenario, with the seeds from --seed on.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    seeds: u64,
+    /// Write a page for each run, and one over all, into this folder.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Write each frame of the runs as lines of numbers (CSV) into this folder.
+    #[arg(long, value_name = "DIR")]
+    log: Option<PathBuf>,
+    /// Write what the camera saw, with what was made of it, as a video; of one run.
+    #[arg(long, value_name = "FILE")]
+    video: Option<PathBuf>,
+    /// Runs at a time [default: the number of processors].
+    #[arg(long, value_name = "N")]
+    jobs: Option<NonZeroUsize>,
+    /// JSON: an object a line for each run, or for each scenario of --list.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+struct WhatArgs {
+    /// Say which scenarios there are.
+    #[arg(long)]
+    list: bool,
+    /// Run one scenario.
+    #[arg(long, value_name = "NAME")]
+    scenario: Option<String>,
+    /// Run all scenarios.
+    #[arg(long)]
+    all: bool,
+}
+
+pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
+    if args.what.list {
+        return list(args.json);
+    }
+    let scenarios = match &args.what.scenario {
+        Some(name) => std::slice::from_ref(scenario(name)?),
+        None => Scenario::list(),
+    };
+    for directory in args.report.iter().chain(&args.log) {
+        std::fs::create_dir_all(directory)
+            .with_context(|| format!("cannot make the folder {}", directory.display()))
+            .or_bad_input()?;
+    }
+    let seeds = args.seed..args.seed.saturating_add(args.seeds);
+    let wanted: Vec<(&Scenario, u64)> =
+        scenarios.iter().flat_map(|s| seeds.clone().map(move |seed| (s, seed))).collect();
+    if args.video.is_some() && wanted.len() > 1 {
+        return Err(bad_input(format!("--video is for one run, not for {}", wanted.len())));
+    }
+    let runs = run_all(args, &wanted)?;
+    let outcome = if runs.len() < wanted.len() { Outcome::Interrupted } else { Outcome::Done };
+    if let Some(directory) = &args.report
+        && wanted.len() > 1
+    {
+        let page = report::index(&runs, |_| true, &command_line());
+        let path = directory.join(INDEX);
+        atomic::write(&path, page.as_bytes())?;
+        say(format!("the report is {}", path.display()));
+    }
+    let mut output = Output::stdout();
+    if args.json {
+        for run in &runs {
+            output.json(&run.record())?;
+        }
+    } else if let ([run], false) = (runs.as_slice(), args.what.all) {
+        output.line(table::run_table(run))?;
+    } else if !runs.is_empty() {
+        output.line(table::runs_table(&runs))?;
+    }
+    let failed = runs.iter().filter(|run| !run.passed()).count();
+    match outcome {
+        Outcome::Done if failed > 0 => Ok(Outcome::Failed),
+        outcome => Ok(outcome),
+    }
+}
+
+const INDEX: &str = "index.html";
+
+fn list(json: bool) -> Result<Outcome> {
+    let rows: Vec<ScenarioRow<'_>> = Scenario::list()
+        .iter()
+        .map(|scenario| ScenarioRow {
+            scenario: scenario.name(),
+            seconds: scenario.duration_s(),
+            description: scenario.description(),
+        })
+        .collect();
+    let mut output = Output::stdout();
+    if json {
+        rows.iter().try_for_each(|row| output.json(row))?;
+    } else {
+        output.line(table::list_table(&rows))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn scenario(name: &str) -> Result<&'static Scenario> {
+    Scenario::named(name).ok_or_else(|| {
+        let names: Vec<&str> = Scenario::list().iter().map(Scenario::name).collect();
+        bad_input(format!("there is no scenario '{name}'; there are {}", names.join(", ")))
+    })
+}
+
+/// Runs them all, several at a time; in the order they were asked for, without those
+/// that Ctrl-C forestalled.
+fn run_all(args: &SimArgs, wanted: &[(&Scenario, u64)]) -> Result<Vec<RunResult>> {
+    let processors = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    let jobs = args.jobs.map_or(processors, NonZeroUsize::get).min(wanted.len());
+    let bar = progress::bar(Some(wanted.len() as u64), "sim");
+    let next = AtomicUsize::new(0);
+    let done = Mutex::new(Vec::with_capacity(wanted.len()));
+    let work = || -> Result<()> {
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            let Some(&(scenario, seed)) = wanted.get(index) else { return Ok(()) };
+            if interrupt::interrupted() {
+                return Ok(());
+            }
+            bar.set_message(format!("{} {seed}", scenario.name()));
+            let run = one(args, scenario, seed, wanted.len() > 1)
+                .with_context(|| format!("scenario {} with seed {seed}", scenario.name()));
+            match run {
+                Ok(Some(run)) => {
+                    if let Ok(mut done) = done.lock() {
+                        done.push((index, run));
+                    }
+                }
+                Ok(None) => return Ok(()),
+                Err(error) => {
+                    // The others need not go on.
+                    next.store(wanted.len(), Ordering::Relaxed);
+                    return Err(error);
+                }
+            }
+            bar.inc(1);
+        }
+    };
+    let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
+        let joined = threads.into_iter().map(|thread| {
+            thread.join().unwrap_or_else(|_| Err(anyhow::anyhow!("a run ended in a panic")))
+        });
+        joined.collect()
+    });
+    bar.finish_and_clear();
+    outcomes.into_iter().collect::<Result<()>>()?;
+    let mut done = done.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    done.sort_by_key(|(index, _)| *index);
+    Ok(done.into_iter().map(|(_, run)| run).collect())
+}
+
+/// One run, with its page and its lines. `None`: interrupted.
+fn one(args: &SimArgs, scenario: &Scenario, seed: u64, several: bool) -> Result<Option<RunResult>> {
+    let setup = scenario.instantiate(seed);
+    let mut video = match &args.video {
+        Some(path) => {
+            let (model, fps) = (setup.camera.model, setup.camera.rate_hz);
+            Some(RunVideo::create(path, model.width(), model.height(), fps)?)
+        }
+        None => None,
+    };
+    let mut written = Ok(());
+    let log = realnet_sim::run(&setup, |moment| {
+        if let Some(video) = &mut video {
+            let mut frame = moment.rendered.frame.clone();
+            let last = moment.run.frames.len().saturating_sub(1);
+            written = video.write(&mut frame, moment.run, last, moment.target.map(|at| at.bbox));
+        }
+        if interrupt::interrupted() || written.is_err() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    })?;
+    written?;
+    // Ctrl-C leaves the frames up to then.
+    video.map_or(Ok(()), RunVideo::finish)?;
+    if interrupt::interrupted() {
+        return Ok(None);
+    }
+    let figures = RunFigures::from_log(&log, setup.expectations.settle_s);
+    let failures = setup.expectations.check(&figures, &log);
+    let run = RunResult { scenario: setup.name.to_owned(), seed, figures, failures };
+    if let Some(directory) = &args.report {
+        let command = command_line();
+        let index = several.then_some(INDEX);
+        let options = PageOptions { command: &command, video: None, index };
+        let path = directory.join(report::page_name(&run));
+        atomic::write(&path, report::page(&run, &log, &options).as_bytes())?;
+        if !several {
+            say(format!("the report is {}", path.display()));
+        }
+    }
+    if let Some(directory) = &args.log {
+        write_log(&directory.join(format!("{}-{seed}.csv", setup.name)), &log)?;
+    }
+    Ok(Some(run))
+}
+
+/// The frames of a run as CSV: SI units, empty where nothing is known.
+fn write_log(path: &Path, log: &RunLog) -> Result<()> {
+    let mut text = String::from(
+        "time_s,range_true_m,range_network_m,range_fast_m,range_fused_m,range_fused_std_m,status,\
+         gap_m,clearance_m,lateral_m,speed_command,steering_command,speed,steering,target_speed,\
+         x,y,heading,target_x,target_y,target_heading,stop\n",
+    );
+    for frame in &log.frames {
+        let known = |value: Option<f64>| value.map(|v| format!("{v:.6}")).unwrap_or_default();
+        let finite = |value: f64| known(Some(value).filter(|v| v.is_finite()));
+        let ranges = [
+            frame.range_true_m,
+            frame.range_network_m,
+            frame.range_fast_m,
+            frame.range_fused_m,
+            frame.range_fused_std_m,
+        ];
+        let numbers = [
+            frame.gap_m,
+            frame.clearance_m,
+            frame.lateral_m,
+            frame.speed_command,
+            frame.steering_command,
+            frame.speed,
+            frame.steering,
+            frame.target_speed,
+            frame.follower.x,
+            frame.follower.y,
+            frame.follower.heading,
+            frame.target.x,
+            frame.target.y,
+            frame.target.heading,
+        ];
+        let _ = writeln!(
+            text,
+            "{:.6},{},{},{},{}",
+            frame.time_s,
+            ranges.map(known).join(","),
+            frame.status,
+            numbers.map(finite).join(","),
+            frame.stop.map(|stop| stop.name()).unwrap_or_default(),
+        );
+    }
+    atomic::write(path, text.as_bytes())?;
+    Ok(())
+}

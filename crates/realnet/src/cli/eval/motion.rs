@@ -4,6 +4,7 @@ mod measure;
 mod page;
 
 use crate::cli::{
+    command_line,
     failure::{OrBadInput, Outcome, bad_input, report, say},
     interrupt,
     model_args::parse_positive,
@@ -168,21 +169,6 @@ pub(crate) fn run(args: &MotionArgs) -> Result<Outcome> {
         say(format!("the report is {}", directory.join(INDEX).display()));
     }
     told.map(|()| outcome)
-}
-
-/// How the program was called, for the report.
-fn command_line() -> String {
-    let mut line = "realnet".to_owned();
-    for word in std::env::args_os().skip(1) {
-        let word = word.to_string_lossy();
-        let plain = |c: char| c.is_alphanumeric() || "-_=./:,+@%".contains(c);
-        if !word.is_empty() && word.chars().all(plain) {
-            line = format!("{line} {word}");
-        } else {
-            line = format!("{line} '{}'", word.replace('\'', r"'\''"));
-        }
-    }
-    line
 }
 
 impl CameraArgs {
