@@ -203,8 +203,10 @@ impl VehicleOptions {
         Self { drive: Drive::ROBOT, front_m: 0.22, max_speed_m_s: 0.8, ..Self::default() }
     }
 
-    /// From a command to the time when it takes effect, seconds: the dead time, and half
-    /// of the slower lag, which is when the first part of the change has happened.
+    /// From a command to the time when it takes effect, seconds: the dead time and half of
+    /// the slower lag. The share of the lag hardly matters: with none of it a robot at
+    /// 1.9 m/s ends 3 to 6 cm nearer to a target that brakes hard, with all of it it is
+    /// 1 cm further off the path in a slalom at 1 m/s.
     #[must_use]
     pub fn effect_delay_s(&self) -> f64 {
         self.dead_time_s + 0.5 * self.speed_lag_s.max(self.steering_lag_s)
