@@ -26,3 +26,6 @@ pub use depth_network::{DepthFault, DepthNetwork, DepthNetworkModel};
 pub use detector::{Detector, DetectorModel, VisibleObject};
 pub use random::{Random, random_stream};
 pub use window::Window;
+
+#[cfg(test)]
+mod tests;
