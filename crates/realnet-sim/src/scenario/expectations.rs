@@ -176,3 +176,103 @@ impl StopRule {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FrameLog;
+    use realnet_core::Pose2;
+
+    /// 10 s at 0.5 m/s and the right gap, standing from 6 to 8 s on request.
+    fn good() -> RunLog {
+        let mut x = 0.0;
+        let frames = (0..=300).map(|index| {
+            let time_s = f64::from(index) / 30.0;
+            let stands = (6.0..8.0).contains(&time_s);
+            let speed = if stands { 0.0 } else { 0.5 };
+            x += speed / 30.0;
+            FrameLog {
+                time_s,
+                range_true_m: Some(1.1),
+                range_fused_m: Some(1.1),
+                range_fused_std_m: Some(0.02),
+                status: TrackStatus::Tracking,
+                gap_m: 1.02,
+                clearance_m: 0.9,
+                lateral_m: -0.03,
+                speed_command: speed,
+                speed,
+                follower: Pose2::new(x, 0.0, 0.0),
+                stop: stands.then_some(StopReason::Requested),
+                ..FrameLog::default()
+            }
+        });
+        let stop = StopLog { from_s: 6.0, until_s: Some(8.0), reason: StopReason::Requested };
+        let frames = frames.collect();
+        RunLog { desired_gap_m: 1.0, frames, stops: vec![stop], ..RunLog::default() }
+    }
+
+    fn strict() -> Expectations {
+        Expectations {
+            settle_s: 2.0,
+            max_gap_rmse_m: Some(0.021),
+            max_lateral_rmse_m: Some(0.031),
+            min_tracked_share: Some(0.99),
+            max_range_abs_rel: Some(0.01),
+            max_final_gap_error_m: Some(0.021),
+            tracks_at_end: true,
+            min_way_m: 3.9,
+            max_way_m: Some(4.1),
+            stops: vec![
+                StopRule::Begins { reason: StopReason::Requested, from_s: 5.9, until_s: 6.1 },
+                StopRule::None { from_s: 0.0, until_s: 5.9 },
+                StopRule::Commanded { from_s: 6.0, until_s: 7.95 },
+                StopRule::Stands { from_s: 6.0, until_s: 7.95 },
+            ],
+        }
+    }
+
+    fn failures(expect: &Expectations, log: &RunLog) -> Vec<String> {
+        expect.check(&RunFigures::from_log(log, expect.settle_s), log)
+    }
+
+    #[test]
+    fn a_good_run_passes_and_each_flaw_is_named() {
+        assert_eq!(failures(&strict(), &good()), Vec::<String>::new());
+        type Flaw = fn(&mut RunLog);
+        let each = |change: fn(&mut FrameLog)| {
+            let mut log = good();
+            log.frames.iter_mut().for_each(change);
+            log
+        };
+        let single = |flaw: Flaw| {
+            let mut log = good();
+            flaw(&mut log);
+            log
+        };
+        let flaws = [
+            (each(|f| f.gap_m = 1.03), "gap RMSE in m is 0.030, should be at most 0.021"),
+            (each(|f| f.lateral_m = 0.05), "lateral RMSE in m is 0.050"),
+            (each(|f| f.status = TrackStatus::Coasting), "tracked share is 0.000"),
+            (each(|f| f.range_fused_m = Some(1.2)), "relative range error is 0.091"),
+            (each(|f| f.range_fused_m = None), "relative range error is unknown"),
+            (each(|f| f.follower = Pose2::IDENTITY), "way in m is 0.000, should be at least 3.9"),
+            (each(|f| f.follower.x *= 1.1), "way in m is 4.4"),
+            (each(|f| f.speed = 0.5), "drives at 0.50 m/s at 6.00 s"),
+            (each(|f| f.speed_command = 0.5), "0.50 m/s are commanded at 6.00 s"),
+            (each(|f| f.steering_command = f64::NAN), "not finite at 0.000 s"),
+            (each(|f| f.range_fused_std_m = Some(f64::INFINITY)), "not finite at 0.000 s"),
+            (single(|l| l.frames[99].clearance_m = 0.0), "1 collisions"),
+            (single(|l| l.frames[300].gap_m = 1.1), "gap error at the end in m is 0.100"),
+            (single(|l| l.frames[300].gap_m = f64::NAN), "gap error at the end in m is NaN"),
+            (single(|l| l.frames[300].status = TrackStatus::Lost), "the target is lost at the end"),
+            (single(|l| l.stops[0].from_s = 6.2), "no stop 'requested' began from 5.90 to 6.10 s"),
+            (single(|l| l.stops[0].from_s = 5.8), "stop 'requested' at 5.80 s, none should be"),
+            (single(|l| l.frames.clear()), "there are no frames"),
+        ];
+        for (log, expected) in flaws {
+            let found = failures(&strict(), &log);
+            assert!(found.iter().any(|text| text.contains(expected)), "{expected}: {found:#?}");
+        }
+    }
+}
