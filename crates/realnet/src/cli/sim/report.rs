@@ -109,7 +109,7 @@ fn figures(html: &mut String, run: &RunResult, log: &RunLog) {
             "<tr><th scope=\"row\">{name}</th><td>{value}</td><td class=\"unit\">{unit}</td></tr>"
         );
     }
-    html.push_str("</tbody></table>\n<table><caption>Range</caption><thead><tr><td></td>");
+    html.push_str("</tbody></table>\n<table><caption>Range; errors while tracking</caption><thead><tr><td></td>");
     for name in ["fused", "fast", "network"] {
         let _ = write!(html, "<th scope=\"col\" class=\"{name}\"><i></i>{name}</th>");
     }
@@ -121,9 +121,9 @@ fn figures(html: &mut String, run: &RunResult, log: &RunLog) {
         }
         let _ = write!(html, "<td class=\"unit\">{unit}</td></tr>");
     };
-    row("Relative error while tracking, mean", &|cue| percent(cue.abs_rel, 2), "%");
-    row("Bias while tracking", &|cue| percent(cue.bias, 2), "%");
-    row("Jitter while tracking, RMS", &|cue| millimetres(cue.jitter_m), "mm");
+    row("Relative error, mean", &|cue| percent(cue.abs_rel, 2), "%");
+    row("Bias", &|cue| percent(cue.bias, 2), "%");
+    row("Jitter, RMS", &|cue| millimetres(cue.jitter_m), "mm");
     row("Known while visible", &|cue| percent(cue.known_share, 1), "%");
     let _ = writeln!(
         html,

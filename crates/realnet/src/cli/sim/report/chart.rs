@@ -29,6 +29,8 @@ pub(super) struct Chart {
     span: (f64, f64),
     height: f64,
     values: Vec<f64>,
+    /// Values that the upright axis reaches if they are not far off.
+    wishes: Vec<f64>,
     parts: Vec<Part>,
     shades: Vec<(f64, f64)>,
     note: Option<String>,
@@ -63,8 +65,8 @@ impl Chart {
         let span = if high > low { span } else { (low, low + 1.0) };
         let (parts, shades) = (Vec::new(), Vec::new());
         let over_time = axes[0] == TIME;
-        let (values, note) = (Vec::new(), None);
-        Self { over_time, title, axes, span, height: 250.0, values, parts, shades, note }
+        let (values, wishes, note) = (Vec::new(), Vec::new(), None);
+        Self { over_time, title, axes, span, height: 250.0, values, wishes, parts, shades, note }
     }
 
     /// Pixels from top to bottom.
@@ -96,7 +98,8 @@ impl Chart {
         self
     }
 
-    /// An area between two values. The upright axis need not reach it.
+    /// An area between two values. The upright axis reaches it as far as the lines do not
+    /// become flat by that.
     pub(super) fn band(
         mut self,
         name: &'static str,
@@ -106,6 +109,7 @@ impl Chart {
         let finite = |(low, high): &(f64, f64)| low.is_finite() && high.is_finite();
         let points: Vec<_> = points.map(|(x, y)| (x, y.filter(finite))).collect();
         if points.iter().any(|(_, y)| y.is_some()) {
+            self.wishes.extend(points.iter().filter_map(|(_, y)| *y).flat_map(|(a, b)| [a, b]));
             self.parts.push(Part { name, color, shape: Shape::Band(points) });
         }
         self
@@ -226,6 +230,12 @@ impl Chart {
         match (values().reduce(f64::min), values().reduce(f64::max)) {
             (Some(low), Some(high)) if high - low > 1e-9 => {
                 let air = 0.05 * (high - low);
+                let most = 0.3 * (high - low);
+                let wish = |from, better: fn(f64, f64) -> f64| {
+                    self.wishes.iter().copied().fold(from, better)
+                };
+                let (low, high) =
+                    (wish(low, f64::min).max(low - most), wish(high, f64::max).min(high + most));
                 // Nothing is below a ground of 0.
                 (if low == 0.0 { 0.0 } else { low - air }, high + air)
             }
@@ -506,13 +516,16 @@ mod tests {
     }
 
     #[test]
-    fn the_upright_axis_holds_all_lines_but_not_the_band() {
+    fn the_upright_axis_holds_all_lines_and_a_band_that_is_not_far_off() {
         let chart = Chart::new("t", ["s", "m"], (0.0, 1.0))
             .line("a", "fused", "", [(0.0, Some(1.0)), (1.0, Some(3.0))].into_iter())
             .band("b", "fused", [(0.0, Some((-50.0, 50.0)))].into_iter());
         let (low, high) = chart.reach();
-        assert!((low - 0.9).abs() < 1e-12 && (high - 3.1).abs() < 1e-12, "{low} {high}");
-        let (low, _) = chart.reaching(0.0).reach();
-        assert_eq!(low, 0.0);
+        assert!((low - 0.3).abs() < 1e-12 && (high - 3.7).abs() < 1e-12, "{low} {high}");
+        let chart = Chart::new("t", ["s", "m"], (0.0, 1.0))
+            .line("a", "fused", "", [(0.0, Some(0.0)), (1.0, Some(3.0))].into_iter())
+            .band("b", "fused", [(0.0, Some((0.5, 3.2)))].into_iter());
+        let (low, high) = chart.reach();
+        assert!(low == 0.0 && (high - 3.35).abs() < 1e-12, "{low} {high}");
     }
 }

@@ -277,7 +277,7 @@ impl Map<'_> {
                     "<text class=\"clock\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
                     x + dx,
                     y + dy,
-                    ticks::number(frame.time_s, self.view.every)
+                    ticks::number(frame.time_s, 2.0 * self.view.every)
                 );
             }
         }
