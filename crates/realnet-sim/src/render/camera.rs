@@ -58,7 +58,7 @@ impl Default for Sensor {
             shot_noise: 0.012,
             read_noise: 0.0015,
             vignetting: 0.25,
-            exposure: Exposure::Auto { lag_s: 0.25, target: 0.22, max_gain: 8.0 },
+            exposure: Exposure::Auto { lag_s: 0.25, target: 0.25, max_gain: 8.0 },
             blur: None,
         }
     }

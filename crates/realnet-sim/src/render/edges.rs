@@ -7,6 +7,9 @@
 use super::canvas::{Canvas, Rays};
 use super::surface::Surface;
 
+/// Pixels that are looked at together.
+const CHUNK: usize = 16;
+
 /// Changed pixels, kept until all are known.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Blends {
@@ -24,41 +27,66 @@ impl Blends {
             let above = if y > 0 { &canvas.id[row.start - stride..row.end - stride] } else { ids };
             let below =
                 if y + 1 < height { &canvas.id[row.start + stride..row.end + stride] } else { ids };
-            for x in 0..width {
-                let id = ids[x];
-                let left = ids[x.saturating_sub(1)];
-                let right = ids[(x + 1).min(width - 1)];
-                if id == left && id == right && id == above[x] && id == below[x] {
-                    continue;
-                }
-                let at = row.start + x;
-                let neighbours = [
-                    (left, at.wrapping_sub(1)),
-                    (right, at + 1),
-                    (above[x], at.wrapping_sub(stride)),
-                    (below[x], at + stride),
-                ];
-                let mut best = (0.5f32, at);
-                for (other, there) in neighbours {
-                    if other != id {
-                        let share = own_share(rays, surfaces, canvas, at, there);
-                        if share < best.0 {
-                            best = (share, there);
-                        }
-                    }
-                }
-                let (share, there) = best;
-                if there != at {
-                    let keep = 0.5 + share;
-                    let mix = |plane: &Vec<f32>| plane[at] * keep + plane[there] * (1.0 - keep);
-                    let [r, g, b] = &canvas.light;
-                    self.list.push((at as u32, [mix(r), mix(g), mix(b)]));
+            for x in (0..width).step_by(CHUNK) {
+                let end = (x + CHUNK).min(width);
+                // Most chunks show one surface, and so do those around.
+                let (first, around) = (ids[x], x.saturating_sub(1)..(end + 1).min(width));
+                let beside = ids[around].iter().fold(0, |all, id| all | (id ^ first));
+                let above_it = above[x..end].iter().fold(0, |all, id| all | (id ^ first));
+                let below_it = below[x..end].iter().fold(0, |all, id| all | (id ^ first));
+                if beside | above_it | below_it != 0 {
+                    self.chunk(rays, surfaces, canvas, row.start, x..end, [ids, above, below]);
                 }
             }
         }
         for &(at, colour) in &self.list {
             for (plane, value) in canvas.light.iter_mut().zip(colour) {
                 plane[at as usize] = value;
+            }
+        }
+    }
+
+    /// Blends what is on some pixels of a row; `rows` are the ids of the row, the one
+    /// above and the one below.
+    fn chunk(
+        &mut self,
+        rays: &Rays,
+        surfaces: &[Surface],
+        canvas: &Canvas,
+        start: usize,
+        pixels: std::ops::Range<usize>,
+        [ids, above, below]: [&[u32]; 3],
+    ) {
+        let (width, stride) = (rays.width, rays.stride);
+        for x in pixels {
+            let id = ids[x];
+            let left = ids[x.saturating_sub(1)];
+            let right = ids[(x + 1).min(width - 1)];
+            if id == left && id == right && id == above[x] && id == below[x] {
+                continue;
+            }
+            let at = start + x;
+            let neighbours = [
+                (left, at.wrapping_sub(1)),
+                (right, at + 1),
+                (above[x], at.wrapping_sub(stride)),
+                (below[x], at + stride),
+            ];
+            let mut best = (0.5f32, at);
+            for (other, there) in neighbours {
+                if other != id {
+                    let share = own_share(rays, surfaces, canvas, at, there);
+                    if share < best.0 {
+                        best = (share, there);
+                    }
+                }
+            }
+            let (share, there) = best;
+            if there != at {
+                let keep = 0.5 + share;
+                let mix = |plane: &Vec<f32>| plane[at] * keep + plane[there] * (1.0 - keep);
+                let [r, g, b] = &canvas.light;
+                self.list.push((at as u32, [mix(r), mix(g), mix(b)]));
             }
         }
     }

@@ -344,8 +344,24 @@ fn textured(
             s[i] = s_at[i] + shift * s_long[i];
             t[i] = t_at[i] + shift * t_long[i];
         }
-        let fine = sample(words, &s, &t, &level, 0);
-        let coarse = sample(words, &s, &t, &level, 1);
+        if taps == 4 {
+            // Each sample from one of the two levels, as many from each as is its part.
+            let mut one = level;
+            for i in 0..TILE_W {
+                one[i] += i32::from(part[i] > (tap as f32 + 0.5) * share);
+            }
+            let value = sample(words, &s, &t, &one);
+            for i in 0..TILE_W {
+                sum[i] += value[i];
+            }
+            continue;
+        }
+        let mut next = level;
+        for level in &mut next {
+            *level += 1;
+        }
+        let fine = sample(words, &s, &t, &level);
+        let coarse = sample(words, &s, &t, &next);
         for i in 0..TILE_W {
             sum[i] += fine[i] + (coarse[i] - fine[i]) * part[i];
         }
@@ -356,14 +372,13 @@ fn textured(
     sum
 }
 
-/// Bilinear samples at texture coordinates of the finest level, from the level
-/// `level + more` of each lane.
+/// Bilinear samples at texture coordinates of the finest level, from each lane's level.
 #[inline(always)]
-fn sample(words: &Words, s: &Lane, t: &Lane, level: &Lane<i32>, more: i32) -> Lane {
+fn sample(words: &Words, s: &Lane, t: &Lane, level: &Lane<i32>) -> Lane {
     let mut index = [0u32; TILE_W];
     let (mut fs, mut ft) = ([0.0f32; TILE_W], [0.0f32; TILE_W]);
     for i in 0..TILE_W {
-        let level = (level[i] + more) as u32;
+        let level = level[i] as u32;
         let side = (SIDE as u32) >> (level & 15);
         let scale = f32::from_bits((127 - (level & 15)) << 23);
         let (s, t) = (s[i] * scale - 0.5, t[i] * scale - 0.5);

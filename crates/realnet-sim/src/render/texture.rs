@@ -99,8 +99,7 @@ impl Atlas {
     fn new() -> Self {
         let mut words = vec![0; WORDS * ALL.len()];
         for (texture, words) in ALL.iter().zip(words.chunks_exact_mut(WORDS)) {
-            let mut level: Vec<f32> =
-                (0..SIDE * SIDE).map(|i| texel(*texture, i % SIDE, i / SIDE)).collect();
+            let mut level = finest(*texture);
             for (index, &start) in LEVEL_START.iter().enumerate() {
                 let side = SIDE >> index;
                 if index > 0 {
@@ -153,30 +152,52 @@ fn hash(x: i32, y: i32, seed: u32) -> f32 {
     (h >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Value noise of `cells` cells a period, smooth.
-fn noise(x: f32, y: f32, cells: (i32, i32), seed: u32) -> f32 {
-    let (u, v) = (x / SIDE as f32 * cells.0 as f32, y / SIDE as f32 * cells.1 as f32);
-    let (iu, iv) = (u.floor(), v.floor());
-    let ease = |t: f32| t * t * (3.0 - 2.0 * t);
-    let (a, b) = (ease(u - iu), ease(v - iv));
-    let at = |dx: i32, dy: i32| {
-        let (x, y) = (iu as i32 + dx, iv as i32 + dy);
-        hash(x.rem_euclid(cells.0), y.rem_euclid(cells.1), seed)
-    };
-    let top = at(0, 0) + (at(1, 0) - at(0, 0)) * a;
-    let bottom = at(0, 1) + (at(1, 1) - at(0, 1)) * a;
-    top + (bottom - top) * b
+/// Value noise with a period of so many cells along x and y, smooth.
+struct Noise {
+    cells: (usize, usize),
+    /// One column and row more, as the first.
+    values: Vec<f32>,
 }
 
-/// Octaves of [`noise`] from `cells` on, each with `gain` times the last's weight.
-fn octaves(x: f32, y: f32, cells: i32, count: u32, gain: f32, seed: u32) -> f32 {
-    let (mut sum, mut weights, mut weight) = (0.0, 0.0, 1.0);
-    for octave in 0..count {
-        sum += weight * noise(x, y, (cells << octave, cells << octave), seed + octave);
-        weights += weight;
-        weight *= gain;
+impl Noise {
+    fn new(cells: (usize, usize), seed: u32) -> Self {
+        let (w, h) = cells;
+        let value = |i: usize| hash((i % (w + 1) % w) as i32, (i / (w + 1) % h) as i32, seed);
+        Self { cells, values: (0..(w + 1) * (h + 1)).map(value).collect() }
     }
-    sum / weights
+
+    /// The value at a texel within the finest level.
+    fn at(&self, x: f32, y: f32) -> f32 {
+        let (w, h) = self.cells;
+        let (u, v) = (x / SIDE as f32 * w as f32, y / SIDE as f32 * h as f32);
+        let (iu, iv) = (u as usize, v as usize);
+        let ease = |t: f32| t * t * (3.0 - 2.0 * t);
+        let (a, b) = (ease(u - iu as f32), ease(v - iv as f32));
+        let start = iv * (w + 1) + iu;
+        let row =
+            |start: usize| self.values[start] + (self.values[start + 1] - self.values[start]) * a;
+        let (top, bottom) = (row(start), row(start + w + 1));
+        top + (bottom - top) * b
+    }
+}
+
+/// Noises from `cells` cells on, each of twice the cells and `gain` times the weight of
+/// the last.
+struct Octaves {
+    list: Vec<(Noise, f32)>,
+}
+
+impl Octaves {
+    fn new(cells: usize, count: u32, gain: f32, seed: u32) -> Self {
+        let weight = |octave: u32| gain.powi(octave as i32);
+        let all: f32 = (0..count).map(weight).sum();
+        let noise = |octave: u32| Noise::new((cells << octave, cells << octave), seed + octave);
+        Self { list: (0..count).map(|octave| (noise(octave), weight(octave) / all)).collect() }
+    }
+
+    fn at(&self, x: f32, y: f32) -> f32 {
+        self.list.iter().map(|(noise, weight)| weight * noise.at(x, y)).sum()
+    }
 }
 
 /// 1 inside, 0 outside, with an edge of `soft` texels around `distance` 0.
@@ -191,94 +212,139 @@ fn grid(x: f32, y: f32, w: f32, h: f32) -> (f32, i32, i32) {
     (dx.min(w - dx).min(dy).min(h - dy), cx as i32, cy as i32)
 }
 
-fn texel(texture: Texture, x: usize, y: usize) -> f32 {
-    let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
-    let speck = hash(x as i32, y as i32, 7);
+/// The finest level from a value at each texel: `x`, `y` and a random speck.
+fn drawn(value: impl Fn(f32, f32, f32) -> f32) -> Vec<f32> {
+    let at = |i: usize| {
+        let (x, y) = (i % SIDE, i / SIDE);
+        value(x as f32 + 0.5, y as f32 + 0.5, hash(x as i32, y as i32, 7))
+    };
+    (0..SIDE * SIDE).map(at).collect()
+}
+
+fn finest(texture: Texture) -> Vec<f32> {
     match texture {
-        Texture::Plain => 0.42 + 0.2 * octaves(x, y, 4, 6, 0.8, 11) - 0.05 * speck,
+        Texture::Plain => {
+            let specks = Octaves::new(4, 6, 0.8, 11);
+            drawn(|x, y, speck| 0.42 + 0.2 * specks.at(x, y) - 0.05 * speck)
+        }
         Texture::Carpet => {
-            let tuft = noise(x, y, (170, 170), 21);
-            let stain = octaves(x, y, 5, 4, 0.75, 23);
-            0.10 + 0.28 * speck + 0.27 * tuft + 0.35 * (2.6 * (stain - 0.5) + 0.5).clamp(0.0, 1.0)
+            let (tuft, stain) = (Noise::new((170, 170), 21), Octaves::new(5, 4, 0.75, 23));
+            drawn(|x, y, speck| {
+                let stain = (2.6 * (stain.at(x, y) - 0.5) + 0.5).clamp(0.0, 1.0);
+                0.10 + 0.28 * speck + 0.27 * tuft.at(x, y) + 0.35 * stain
+            })
         }
         Texture::Tiles => {
-            let (d, cx, cy) = grid(x, y, 128.0, 128.0);
-            let shade = 0.45 + 0.4 * hash(cx % 4, cy % 4, 31);
-            let veins = 0.35 * (octaves(x, y, 8, 5, 0.65, 33) - 0.5);
-            let face = shade + veins + 0.06 * (speck - 0.5);
-            face + (0.08 - face) * step(d - 2.5, 2.0)
+            let veins = Octaves::new(8, 5, 0.75, 33);
+            drawn(|x, y, speck| {
+                let (d, cx, cy) = grid(x, y, 128.0, 128.0);
+                let shade = 0.45 + 0.4 * hash(cx % 4, cy % 4, 31);
+                let face = shade + 0.45 * (veins.at(x, y) - 0.5) + 0.10 * (speck - 0.5);
+                face + (0.08 - face) * step(d - 2.5, 2.0)
+            })
         }
         Texture::Planks => {
-            let row = (y / 64.0).floor();
-            let shift = 512.0 * hash(row as i32, 3, 41);
-            let (d, cx, cy) = grid((x + shift).rem_euclid(512.0), y, 256.0, 64.0);
-            let shade = 0.35 + 0.4 * hash(cx, cy, 43);
-            let grain = noise(x, y, (6, 180), 45) - 0.5 + 0.7 * (noise(x, y, (20, 90), 46) - 0.5);
-            let knots = (octaves(x, y, 12, 2, 0.5, 47) - 0.7).max(0.0) * -1.8;
-            let face = shade + 0.32 * grain + knots;
-            face + (0.02 - face) * step(d - 1.2, 1.6)
+            let (long, fine) = (Noise::new((8, 180), 45), Noise::new((40, 160), 46));
+            let knots = Octaves::new(12, 2, 0.5, 47);
+            drawn(|x, y, speck| {
+                let row = (y / 64.0).floor();
+                let shift = 512.0 * hash(row as i32, 3, 41);
+                let (d, cx, cy) = grid((x + shift).rem_euclid(512.0), y, 256.0, 64.0);
+                let shade = 0.35 + 0.4 * hash(cx, cy, 43);
+                let grain = long.at(x, y) - 0.5 + 0.8 * (fine.at(x, y) - 0.5);
+                let knot = (knots.at(x, y) - 0.7).max(0.0) * -1.8;
+                let face = shade + 0.30 * grain + knot + 0.10 * (speck - 0.5);
+                face + (0.02 - face) * step(d - 1.2, 1.6)
+            })
         }
         Texture::Asphalt => {
-            let stones = noise(x, y, (200, 200), 51);
-            let bright = if hash(x as i32 / 2, y as i32 / 2, 52) > 0.965 { 0.45 } else { 0.0 };
-            let patches = octaves(x, y, 4, 5, 0.7, 53);
-            let crack = (octaves(x, y, 6, 4, 0.5, 55) - 0.5).abs();
-            let dark = 0.3 * step(crack - 0.006, 0.01);
-            0.12 + 0.3 * stones + 0.12 * speck + bright + 0.5 * (patches - 0.3).max(0.0) - dark
+            let (stones, patches) = (Noise::new((200, 200), 51), Octaves::new(4, 5, 0.7, 53));
+            let cracks = Octaves::new(6, 4, 0.5, 55);
+            drawn(|x, y, speck| {
+                let bright = hash(x as i32 / 2, y as i32 / 2, 52) > 0.965;
+                let dark = 0.3 * step((cracks.at(x, y) - 0.5).abs() - 0.006, 0.01);
+                let stone = if bright { 0.45 } else { 0.0 };
+                let patch = 0.5 * (patches.at(x, y) - 0.3).max(0.0);
+                0.12 + 0.3 * stones.at(x, y) + 0.12 * speck + stone + patch - dark
+            })
         }
         Texture::Brick => {
-            let row = (y / 32.0).floor();
-            let shift = if row as i32 % 2 == 0 { 0.0 } else { 42.667 };
-            let (d, cx, cy) = grid((x + shift).rem_euclid(512.0), y, 85.333, 32.0);
-            let shade = 0.15 + 0.5 * hash(cx % 6, cy, 61);
-            let face = shade + 0.3 * (octaves(x, y, 32, 3, 0.7, 63) - 0.5) + 0.1 * (speck - 0.5);
-            face + (0.92 - 0.15 * speck - face) * step(d - 2.0, 2.0)
+            let grain = Octaves::new(32, 3, 0.7, 63);
+            drawn(|x, y, speck| {
+                let row = (y / 32.0).floor();
+                let shift = if row as i32 % 2 == 0 { 0.0 } else { 42.667 };
+                let (d, cx, cy) = grid((x + shift).rem_euclid(512.0), y, 85.333, 32.0);
+                let shade = 0.15 + 0.5 * hash(cx % 6, cy, 61);
+                let face = shade + 0.3 * (grain.at(x, y) - 0.5) + 0.1 * (speck - 0.5);
+                face + (0.92 - 0.15 * speck - face) * step(d - 2.0, 2.0)
+            })
         }
         Texture::Concrete => {
-            let clouds = octaves(x, y, 3, 7, 0.78, 71);
-            (2.2 * (clouds - 0.5) + 0.5) + 0.06 * (speck - 0.5)
+            let (clouds, grit) = (Octaves::new(3, 7, 0.8, 71), Noise::new((128, 128), 73));
+            drawn(|x, y, speck| {
+                let pit = if hash(x as i32 / 3, y as i32 / 3, 74) > 0.993 { 0.35 } else { 0.0 };
+                let grit = 0.14 * (grit.at(x, y) - 0.5) + 0.10 * (speck - 0.5);
+                2.0 * (clouds.at(x, y) - 0.5) + 0.5 + grit - pit
+            })
         }
         Texture::Checker => {
-            let odd = ((x / 64.0) as i32 + (y / 64.0) as i32) % 2 == 1;
-            let dirt = 0.2 * (octaves(x, y, 8, 4, 0.7, 75) - 0.5);
-            (if odd { 0.88 } else { 0.12 }) + dirt
+            let dirt = Octaves::new(8, 4, 0.7, 75);
+            drawn(|x, y, _| {
+                let odd = ((x / 64.0) as i32 + (y / 64.0) as i32) % 2 == 1;
+                (if odd { 0.88 } else { 0.12 }) + 0.2 * (dirt.at(x, y) - 0.5)
+            })
         }
-        Texture::Poster => poster(x, y),
-        Texture::Paint => paint(x, y, speck),
-        Texture::Wheel => wheel(x, y),
-        Texture::Plate => plate(x, y),
+        Texture::Poster => {
+            let ground = Noise::new((4, 6), 101);
+            drawn(|x, y, _| poster(x, y, ground.at(x, y)))
+        }
+        Texture::Paint => {
+            let dust = Octaves::new(6, 6, 0.8, 111);
+            drawn(|x, y, speck| paint(x, y, speck, dust.at(x, y)))
+        }
+        Texture::Wheel => drawn(|x, y, _| wheel(x, y)),
+        Texture::Plate => drawn(|x, y, _| plate(x, y)),
         Texture::Grass => {
-            let blades = noise(x, y, (220, 70), 81);
-            0.1 + 0.4 * blades + 0.25 * speck + 0.5 * (octaves(x, y, 4, 5, 0.7, 83) - 0.25)
+            let (blades, patches) = (Noise::new((220, 70), 81), Octaves::new(4, 5, 0.7, 83));
+            drawn(|x, y, speck| {
+                0.1 + 0.4 * blades.at(x, y) + 0.25 * speck + 0.5 * (patches.at(x, y) - 0.25)
+            })
         }
         Texture::Front => {
-            let (d, cx, cy) = grid(x, y, 128.0, 128.0);
-            let glass = 0.12 + 0.3 * hash(cx, cy, 87) + 0.1 * noise(x, y, (8, 8), 88);
-            let wall = 0.75 + 0.2 * (octaves(x, y, 16, 4, 0.7, 89) - 0.5);
-            let frame = step((d - 32.0).abs() - 2.5, 2.0);
-            let face = wall + (glass - wall) * step(32.0 - d, 2.0);
-            face + (1.0 - face) * frame
+            let (glass, wall) = (Noise::new((8, 8), 88), Octaves::new(16, 4, 0.7, 89));
+            drawn(|x, y, _| {
+                let (d, cx, cy) = grid(x, y, 128.0, 128.0);
+                let glass = 0.12 + 0.3 * hash(cx, cy, 87) + 0.1 * glass.at(x, y);
+                let wall = 0.75 + 0.2 * (wall.at(x, y) - 0.5);
+                let frame = step((d - 32.0).abs() - 2.5, 2.0);
+                let face = wall + (glass - wall) * step(32.0 - d, 2.0);
+                face + (1.0 - face) * frame
+            })
         }
         Texture::Stripes => {
-            let odd = (x / 128.0) as i32 % 2 == 1;
-            let dirt = 0.25 * (octaves(x, y, 8, 5, 0.75, 91) - 0.5);
-            (if odd { 0.9 } else { 0.1 }) + dirt
+            let dirt = Octaves::new(8, 5, 0.75, 91);
+            drawn(|x, y, _| {
+                let odd = (x / 128.0) as i32 % 2 == 1;
+                (if odd { 0.9 } else { 0.1 }) + 0.25 * (dirt.at(x, y) - 0.5)
+            })
         }
-        Texture::Shelf => {
-            let row = (y / 128.0) as i32;
-            let down = y - 128.0 * row as f32;
-            if down < 10.0 {
-                return 0.55 + 0.1 * speck;
-            }
-            let slot = (x / 16.0 + 3.0 * hash((x / 64.0) as i32, row, 93)).floor() as i32 % 32;
-            let tall = 20.0 + 50.0 * hash(slot, row, 95);
-            if down < tall { 0.03 } else { 0.15 + 0.8 * hash(slot, row, 97) + 0.05 * (speck - 0.5) }
-        }
+        Texture::Shelf => drawn(shelf),
     }
 }
 
-fn poster(x: f32, y: f32) -> f32 {
-    let mut v = 0.75 + 0.25 * noise(x, y, (4, 6), 101);
+fn shelf(x: f32, y: f32, speck: f32) -> f32 {
+    let row = (y / 128.0) as i32;
+    let down = y - 128.0 * row as f32;
+    if down < 10.0 {
+        return 0.55 + 0.1 * speck;
+    }
+    let slot = (x / 16.0 + 3.0 * hash((x / 64.0) as i32, row, 93)).floor() as i32 % 32;
+    let tall = 20.0 + 50.0 * hash(slot, row, 95);
+    if down < tall { 0.03 } else { 0.15 + 0.8 * hash(slot, row, 97) + 0.05 * (speck - 0.5) }
+}
+
+fn poster(x: f32, y: f32, ground: f32) -> f32 {
+    let mut v = 0.75 + 0.25 * ground;
     for shape in 0..14 {
         let pick = |k: i32| hash(shape, k, 103);
         let (cx, cy, size) = (512.0 * pick(0), 512.0 * pick(1), 25.0 + 90.0 * pick(2));
@@ -299,8 +365,7 @@ fn poster(x: f32, y: f32) -> f32 {
     v + (1.0 - v) * step(edge - 12.0, 2.0)
 }
 
-fn paint(x: f32, y: f32, speck: f32) -> f32 {
-    let dust = octaves(x, y, 6, 6, 0.8, 111);
+fn paint(x: f32, y: f32, speck: f32, dust: f32) -> f32 {
     let mut v = 0.66 + 0.5 * (dust - 0.5) + 0.06 * (speck - 0.5);
     let (seam, ..) = grid(x, y, 170.667, 128.0);
     v -= 0.35 * step(seam - 1.0, 1.5);

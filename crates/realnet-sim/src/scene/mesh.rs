@@ -115,19 +115,19 @@ impl Mesh {
         self.push(corners, normal, s, t, skin)
     }
 
-    /// A four-sided polygon that the texture fills: its top left corner at the
-    /// first corner, its top along the first edge, seen from outside; corners
-    /// therefore clockwise: top left, top right, bottom right, bottom left.
+    /// A four-sided polygon that the texture fills, level with its middle lines: corners
+    /// clockwise as seen from outside, top left, top right, bottom right, bottom left.
     pub(crate) fn filled(&mut self, corners: [Point3<f64>; 4], skin: Skin) -> &mut Face {
         let [a, b, c, d] = corners;
         let counter_clockwise = [a, d, c, b];
         let normal = normal_of(&counter_clockwise);
-        let along = |from: Point3<f64>, to: Point3<f64>| {
-            let edge = to - from;
+        let middle = Point3::from(0.25 * (a.coords + b.coords + c.coords + d.coords));
+        let (right, down) = (0.5 * ((b - a) + (c - d)), 0.5 * ((d - a) + (c - b)));
+        let along = |edge: Vector3<f64>| {
             let map = edge * (SIDE / edge.norm_squared());
-            (map, -map.dot(&from.coords))
+            (map, 0.5 * SIDE - map.dot(&middle.coords))
         };
-        self.push(&counter_clockwise, normal, along(a, b), along(a, d), skin)
+        self.push(&counter_clockwise, normal, along(right), along(down), skin)
     }
 
     fn push(
