@@ -121,12 +121,12 @@ impl From<&StopLog> for StopRecord {
 
 /// A number to six decimals, which is a micrometre or a microsecond; null when it is
 /// not finite.
-pub(super) fn rounded<S: Serializer>(value: &Option<f64>, s: S) -> Result<S::Ok, S::Error> {
+fn rounded<S: Serializer>(value: &Option<f64>, s: S) -> Result<S::Ok, S::Error> {
     value.filter(|v| v.is_finite()).map(micro).serialize(s)
 }
 
 /// As [`rounded`].
-pub(super) fn rounded_number<S: Serializer>(value: &f64, s: S) -> Result<S::Ok, S::Error> {
+fn rounded_number<S: Serializer>(value: &f64, s: S) -> Result<S::Ok, S::Error> {
     rounded(&Some(*value), s)
 }
 

@@ -1,0 +1,152 @@
+//! `realnet sim` as a user runs it: the list, a run with all that it writes, and what
+//! is wrong with bad input.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
+
+mod common;
+
+use common::{Run, finish, frames_in, has_ffmpeg, listing, realnet};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::Path;
+use tempfile::tempdir;
+
+/// The keys that every reader may count on, in their order.
+const KEYS: [&str; 13] = [
+    "scenario",
+    "seed",
+    "gap_rmse_m",
+    "lateral_rmse_m",
+    "range_abs_rel",
+    "range_abs_rel_network_only",
+    "range_jitter_m",
+    "range_jitter_network_only_m",
+    "min_gap_m",
+    "collisions",
+    "tracked_share",
+    "stops",
+    "pass",
+];
+
+/// The shortest scenario.
+const SHORT: &str = "no-target";
+
+fn lines(run: &Run) -> Vec<Value> {
+    run.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// The lines of runs; the exit code says whether all of them passed.
+#[track_caller]
+fn judged(run: &Run) -> Vec<Value> {
+    let values = lines(run);
+    let passed = values.iter().all(|value| value["pass"].as_bool().unwrap());
+    assert_eq!(run.code, Some(i32::from(!passed)), "{run:#?}");
+    values
+}
+
+/// Runs the program in a folder.
+fn sim_in(folder: &Path, args: &[&str]) -> Run {
+    finish(common::command().arg("sim").args(args).current_dir(folder))
+}
+
+#[test]
+fn the_list_names_at_least_twenty_scenarios() {
+    let table = realnet(&["sim", "--list"]).quiet();
+    let json = realnet(&["sim", "--list", "--json"]).quiet();
+    let rows = lines(&json);
+    let names: BTreeSet<&str> = rows.iter().map(|row| row["scenario"].as_str().unwrap()).collect();
+    assert!(names.len() >= 20 && names.len() == rows.len(), "{names:?}");
+    for row in &rows {
+        let name = row["scenario"].as_str().unwrap();
+        assert!(table.stdout.lines().any(|line| line.starts_with(name)), "{name}");
+        assert!(row["seconds"].as_f64().unwrap() > 0.0, "{row}");
+        assert!(!row["description"].as_str().unwrap().is_empty(), "{row}");
+    }
+    assert!(table.stdout.lines().all(|line| line.chars().count() <= 100), "{}", table.stdout);
+}
+
+#[test]
+fn a_run_says_the_same_each_time_and_writes_what_it_should() {
+    let folder = tempdir().unwrap();
+    let with_video = has_ffmpeg();
+    let mut args =
+        vec!["--scenario", SHORT, "--seed", "3", "--json", "--report", "out", "--log", "log"];
+    if with_video {
+        args.extend(["--video", "run.mp4"]);
+    }
+    let first = sim_in(folder.path(), &args);
+    let values = judged(&first);
+    let [value] = values.as_slice() else { panic!("{first:#?}") };
+    let keys: Vec<&str> = value.as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(keys[..KEYS.len()], KEYS);
+    assert_eq!((value["scenario"].as_str(), value["seed"].as_u64()), (Some(SHORT), Some(3)));
+    // Nobody is there: nothing to range, and the follower stands for that reason.
+    assert!(value["range_abs_rel"].is_null() && value["gap_rmse_m"].is_null(), "{value}");
+    assert_eq!(value["stops"][0]["reason"], "no-target");
+
+    let out = folder.path().join("out");
+    let page_name = format!("{SHORT}-3.html");
+    assert_eq!(listing(&out), [page_name.as_str()]);
+    let page = std::fs::read_to_string(out.join(&page_name)).unwrap();
+    for outside in ["http:", "https:", "src=", "@import", "url(//"] {
+        assert!(!page.contains(outside), "the page needs {outside}");
+    }
+    assert!(page.contains("realnet sim --scenario no-target --seed 3"), "how it was called");
+    assert!(!page.contains("NaN"), "only numbers are drawn");
+
+    let log_name = format!("{SHORT}-3.csv");
+    let log = std::fs::read_to_string(folder.path().join("log").join(&log_name)).unwrap();
+    let columns: Vec<usize> = log.lines().map(|line| line.split(',').count()).collect();
+    assert!(columns.iter().all(|count| *count == columns[0]), "{columns:?}");
+    let frames = value["frames"].as_u64().unwrap();
+    assert_eq!(columns.len() as u64, frames + 1);
+    if with_video {
+        assert_eq!(frames_in(&folder.path().join("run.mp4")), frames);
+    }
+
+    let second = sim_in(folder.path(), &args);
+    assert_eq!(second.stdout, first.stdout);
+    assert_eq!(std::fs::read_to_string(out.join(&page_name)).unwrap(), page);
+    assert_eq!(std::fs::read_to_string(folder.path().join("log").join(&log_name)).unwrap(), log);
+}
+
+#[test]
+fn several_seeds_are_in_order_with_a_page_over_all() {
+    let folder = tempdir().unwrap();
+    let args = ["--scenario", SHORT, "--seeds", "2", "--seed", "5", "--report", "out", "--json"];
+    let run = sim_in(folder.path(), &args);
+    let values = judged(&run);
+    let seeds: Vec<u64> = values.iter().map(|value| value["seed"].as_u64().unwrap()).collect();
+    assert_eq!(seeds, [5, 6]);
+    let out = folder.path().join("out");
+    let names = [format!("{SHORT}-5.html"), format!("{SHORT}-6.html")];
+    assert_eq!(listing(&out), ["index.html", &names[0], &names[1]]);
+    let index = std::fs::read_to_string(out.join("index.html")).unwrap();
+    for name in names {
+        assert!(index.contains(&format!("href=\"{name}\"")), "{name}");
+        let page = std::fs::read_to_string(out.join(&name)).unwrap();
+        assert!(page.contains("href=\"index.html\""), "{name}");
+    }
+}
+
+#[test]
+fn bad_input_is_named() {
+    let folder = tempdir().unwrap();
+    for (args, words) in [
+        (&["--scenario", "no-such"][..], "there is no scenario 'no-such'"),
+        (&["--scenario", SHORT, "--seeds", "2", "--video", "a.mp4"], "--video is for one run"),
+        (&[], "required"),
+        (&["--list", "--all"], "cannot be used with"),
+        (&["--all", "--seeds", "0"], "0 is not in"),
+    ] {
+        let run = sim_in(folder.path(), args);
+        assert!(run.code == Some(2) && run.stderr.contains(words), "{args:?}: {run:#?}");
+        assert!(run.stdout.is_empty(), "{run:#?}");
+    }
+    assert!(listing(folder.path()).is_empty(), "nothing is left behind");
+}
