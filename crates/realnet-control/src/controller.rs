@@ -233,7 +233,10 @@ impl Controller {
         let seconds = self.limiter.seconds(input.now);
         let control = self.gap.step(&options.speed, &gap, own, vehicle.front_m, seconds);
         let distance = control.desired_m + vehicle.front_m;
-        let aim = aim(&options.pursuit, position, input.trail, own.speed, distance);
+        // Backwards there is no path to follow: it keeps facing the target.
+        let reverses = self.limiter.last().speed < 0.0;
+        let trail = if reverses { &[] } else { input.trail };
+        let aim = aim(&options.pursuit, position, trail, own.speed, distance);
         let most = vehicle.drive.max_curvature();
         let curvature = aim.curvature.clamp(-most, most);
         let bounds = SpeedBounds {
@@ -257,7 +260,7 @@ impl Controller {
         let turn = match vehicle.drive {
             Drive::Ackermann { wheelbase_m, .. } => {
                 // backwards the same wheels turn the nose the other way
-                let side = if self.limiter.last().speed < 0.0 { -1.0 } else { 1.0 };
+                let side = if reverses { -1.0 } else { 1.0 };
                 let angle = side * (wheelbase_m * curvature).atan();
                 angle + vehicle.lag_compensation * (angle - turn)
             }

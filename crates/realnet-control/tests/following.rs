@@ -175,3 +175,38 @@ fn a_target_out_of_sight_stops_the_car_in_time_and_not_faster_than_before() {
     let back = samples.last().unwrap();
     assert!(back.command.speed > 0.2 && back.command.stop.is_none(), "{:?}", back.command);
 }
+
+#[test]
+fn curves_are_driven_no_faster_than_the_tyres_hold() {
+    let options = ControlOptions::default();
+    for seed in 0..SEEDS {
+        let setup = Setup { seed, ..Setup::new(options) };
+        // straight, then a circle of 0.9 m at 1.6 m/s: 2.8 m/s^2
+        let turn = |time: f64| if time < 5.0 { 0.0 } else { 1.6 / 0.9 };
+        let samples = run(setup, |time| (1.6, turn(time)));
+        let bound = options.speed.max_lateral_acceleration_m_s2;
+        for pair in samples.windows(2).filter(|pair| pair[0].time > 6.5) {
+            let yaw_rate = (pair[1].heading - pair[0].heading) / (pair[1].time - pair[0].time);
+            let across = (yaw_rate * pair[0].speed).abs();
+            assert!(across < 1.2 * bound, "seed {seed}, {:.2} s: {across}", pair[0].time);
+        }
+    }
+}
+
+#[test]
+fn where_it_may_reverse_it_gives_way_to_a_target_that_backs_up() {
+    for vehicle in [VehicleOptions::default(), VehicleOptions::robot()] {
+        let vehicle = VehicleOptions { max_reverse_speed_m_s: 0.6, ..vehicle };
+        let options = ControlOptions { vehicle, ..Default::default() };
+        for seed in 0..SEEDS {
+            // (not for long: one pushed by another is as unstable as a trailer in reverse)
+            let setup = Setup { seed, seconds: 14.0, ..Setup::new(options) };
+            let samples = run(setup, |time| (if time < 6.0 { 0.4 } else { -0.3 }, 0.0));
+            assert!(least_gap(&samples) > 0.5, "seed {seed}: {}", least_gap(&samples));
+            let error = rms(&samples, 10.0, |sample| sample.gap - 1.0);
+            assert!(error < 0.1, "seed {seed}: {error}");
+            let off = rms(&samples, 10.0, |sample| sample.bearing);
+            assert!(off < 0.1, "seed {seed}: {off}");
+        }
+    }
+}
