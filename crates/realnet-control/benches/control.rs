@@ -51,7 +51,7 @@ impl Run {
 }
 
 /// A step, by the number of points of the trail.
-#[divan::bench(args = [0, 20, 80])]
+#[divan::bench(args = [0, 20, 180])]
 fn step(bencher: Bencher<'_, '_>, points: usize) {
     let mut run = Run::new(points);
     bencher.bench_local(|| run.step());
