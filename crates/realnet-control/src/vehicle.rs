@@ -227,6 +227,14 @@ impl VehicleOptions {
             band.min_speed_m_s >= 0.0 && band.min_speed_m_s < self.max_speed_m_s,
             "at least 0 and below the greatest speed",
         )?;
+        if let Drive::Differential { max_wheel_speed_m_s, .. } = self.drive {
+            OptionError::check(
+                "vehicle.drive.max_wheel_speed_m_s",
+                max_wheel_speed_m_s,
+                max_wheel_speed_m_s > band.min_speed_m_s,
+                "above dead_band.min_speed_m_s",
+            )?;
+        }
         OptionError::share("vehicle.dead_band.start_share", band.start_share)?;
         OptionError::check(
             "vehicle.dead_band.stop_share",

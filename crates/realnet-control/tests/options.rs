@@ -26,7 +26,7 @@ const OPTIONS: &[(&str, Change, &[f64])] = &[
     ("vehicle.drive.max_steering_rad", |o, v| car(o, 0.26, v, 4.0), &[0.0, 1.6]),
     ("vehicle.drive.max_steering_rate_rad_s", |o, v| car(o, 0.26, 0.42, v), &[0.0]),
     ("vehicle.drive.track_m", |o, v| robot(o, v, 1.0, 3.0, 12.0), &[0.0]),
-    ("vehicle.drive.max_wheel_speed_m_s", |o, v| robot(o, 0.2, v, 3.0, 12.0), &[0.0]),
+    ("vehicle.drive.max_wheel_speed_m_s", |o, v| robot(o, 0.2, v, 3.0, 12.0), &[0.0, 0.1]),
     ("vehicle.drive.max_yaw_rate_rad_s", |o, v| robot(o, 0.2, 1.0, v, 12.0), &[0.0]),
     ("vehicle.drive.max_yaw_acceleration_rad_s2", |o, v| robot(o, 0.2, 1.0, 3.0, v), &[0.0]),
     ("pursuit.min_lookahead_m", |o, v| o.pursuit.min_lookahead_m = v, &[0.0, 1e4]),
