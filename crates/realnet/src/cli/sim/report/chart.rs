@@ -168,8 +168,11 @@ impl Chart {
         self
     }
 
-    /// The chart as HTML.
+    /// The chart as HTML; nothing, when it shows nothing.
     pub(super) fn html(&self) -> String {
+        if self.parts.is_empty() {
+            return String::new();
+        }
         let mut html = format!("<figure><figcaption><h3>{}</h3>", escape(self.title));
         html.push_str("<ul class=\"legend\">");
         for part in &self.parts {
@@ -485,14 +488,16 @@ mod tests {
     }
 
     #[test]
-    fn nothing_finite_draws_no_line_and_no_nonsense() {
-        let html = Chart::new("a < b", ["s", "m"], (0.0, 0.0))
+    fn what_is_not_finite_is_not_drawn() {
+        let chart = Chart::new("a < b", ["s", "m"], (0.0, 0.0))
             .line("a", "truth", "", [(0.0, Some(f64::INFINITY)), (1.0, None)].into_iter())
             .band("b", "fused", [(0.0, Some((f64::NAN, 1.0)))].into_iter())
             .rings("c", "fast", Vec::new())
-            .html();
+            .reaching(f64::NAN);
+        assert_eq!(chart.html(), "");
+        let html = chart.ticks("c < d", "fast", vec![0.5]).html();
         assert!(!html.contains("NaN") && !html.contains("inf"), "{html}");
-        assert!(html.contains("a &lt; b") && !html.contains("<li>"), "{html}");
+        assert!(html.contains("a &lt; b") && html.matches("<li>").count() == 1, "{html}");
     }
 
     #[test]

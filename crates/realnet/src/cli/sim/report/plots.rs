@@ -146,6 +146,9 @@ impl<'a> Plots<'a> {
             self.log.depth_maps.iter().map(|m| ms(m.time_s, m.arrived_s)).collect();
         let boxes: Vec<f64> =
             self.log.detections.iter().map(|d| ms(d.time_s, d.arrived_s)).collect();
+        if maps.is_empty() && boxes.is_empty() {
+            return "<p class=\"note\">No depth map and no detection arrived.</p>\n".to_owned();
+        }
         let most = maps.iter().chain(&boxes).copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
         let bin = bin_width(most);
         let end = ((most / bin).floor() + 1.0) * bin;

@@ -216,7 +216,12 @@ fn pages_of_runs_with_little_in_them_are_whole() {
     }
     let html = page(&judged(&log, &[]), &log, &PageOptions::default());
     well_formed(&html);
-    assert!(html.contains("Depth maps: none arrived.") && !html.contains(">target<"), "{html}");
+    assert!(
+        html.contains("No depth map and no detection arrived.") && !html.contains(">target<"),
+        "{html}"
+    );
+
+    assert!(!html.contains("Error against the truth"), "no chart without anything on it");
 
     let one = RunLog { frames: plausible().frames[..1].to_vec(), ..RunLog::default() };
     well_formed(&page(&judged(&one, &[]), &one, &PageOptions::default()));
