@@ -18,7 +18,12 @@ pub enum DepthFault {
     Scale(f64),
     /// This share of the pixels is unknown in addition, in patches, 0 to 1.
     Holes(f64),
+    /// It sees nothing and guesses: one depth everywhere.
+    Blind,
 }
+
+/// What a network says that sees nothing, metres: about the mean of what it has seen.
+const GUESS: f32 = 2.5;
 
 /// How a depth network is wrong and late. Deviations are relative to the depth.
 #[derive(Clone, Debug, PartialEq)]
@@ -143,15 +148,19 @@ impl DepthNetwork {
         let mut random = item_stream(self.seed, stream_number(NAME), stamp.nanos());
         let mut log_scale = model.scale_noise * normal(&mut random)
             + model.scale_drift * self.drift.at(stamp.secs_f64());
-        let mut known = 1.0 - model.holes;
+        let (mut known, mut blind) = (1.0 - model.holes, false);
         for fault in holding(&model.faults, stamp) {
             match fault {
                 DepthFault::Scale(factor) => log_scale += factor.ln(),
                 DepthFault::Holes(share) => known *= 1.0 - share,
+                DepthFault::Blind => blind = true,
                 DepthFault::Rate(_) => {}
             }
         }
         let mut map = reduced(truth, model.rows)?;
+        if blind {
+            map.data_mut().fill(GUESS);
+        }
         smear(&mut map, model.smear);
         let (width, height) = (map.width(), map.height());
         let errors = Patches::new(&mut random, width, height, model.patch_size);

@@ -43,9 +43,9 @@ pub struct DetectorModel {
     pub half_size_px: f64,
     /// Visible share at which an object is found in half of the frames.
     pub half_visible: f64,
-    /// Brightness of the picture (mean over white) at which objects are found in
-    /// half of the frames.
-    pub half_brightness: f64,
+    /// Light, see [`Detector::show`], at which objects are found in half of the frames:
+    /// below it there is more noise than picture.
+    pub half_light: f64,
     /// Blur over the box's shorter side at which an object is found in half of the
     /// frames.
     pub half_blur: f64,
@@ -72,7 +72,7 @@ impl Default for DetectorModel {
             miss: 0.02,
             half_size_px: 9.0,
             half_visible: 0.3,
-            half_brightness: 0.03,
+            half_light: 0.004,
             half_blur: 0.5,
             burst_s: 0.1,
             false_positives: 0.01,
@@ -102,17 +102,18 @@ impl Detector {
     }
 
     /// Shows it a frame of `width` x `height` pixels by what is to be seen in it.
-    /// `brightness` is the picture's mean over white, 0 to 1. Whether it took it.
+    /// `light` is the mean light on the sensor, before any amplification: 1 for a white
+    /// picture in a well-lit room. Whether it took it.
     pub fn show(
         &mut self,
         stamp: Stamp,
         (width, height): (u32, u32),
-        brightness: f64,
+        light: f64,
         objects: &[VisibleObject],
     ) -> bool {
         let taken = self.schedule.take(stamp, self.model.rate_hz);
         if taken {
-            let found = self.infer(stamp, (width, height), brightness, objects);
+            let found = self.infer(stamp, (width, height), light, objects);
             self.channel.send(stamp, found);
         }
         taken
@@ -130,14 +131,12 @@ impl Detector {
         &self,
         stamp: Stamp,
         (width, height): (u32, u32),
-        brightness: f64,
+        light: f64,
         objects: &[VisibleObject],
     ) -> Vec<Detection> {
         let size = (width as f32, height as f32);
-        let mut found: Vec<Detection> = objects
-            .iter()
-            .filter_map(|object| self.look(stamp, size, brightness, object))
-            .collect();
+        let mut found: Vec<Detection> =
+            objects.iter().filter_map(|object| self.look(stamp, size, light, object)).collect();
         let mut random = item_stream(self.seed, stream_number(NAME), stamp.nanos());
         if random.random::<f64>() < self.model.false_positives {
             found.push(phantom(&mut random, size, self.model.false_class_id));
@@ -151,7 +150,7 @@ impl Detector {
         &self,
         stamp: Stamp,
         (width, height): (f32, f32),
-        brightness: f64,
+        light: f64,
         object: &VisibleObject,
     ) -> Option<Detection> {
         let (model, bbox) = (&self.model, object.bbox.clipped(width, height));
@@ -166,7 +165,7 @@ impl Detector {
             SlowNoise::new(self.seed, "detector: wandering", 8 * id + what, seconds).at(time)
         };
 
-        let quality = self.quality(brightness, object, &bbox);
+        let quality = self.quality(light, object, &bbox);
         let chance = quality * (1.0 - model.miss);
         // Half of the lot is drawn anew for each frame, half lasts: misses in bursts.
         let lot = (wandering(4, model.burst_s) + normal(&mut random)) * 0.5_f64.sqrt();
@@ -201,14 +200,14 @@ impl Detector {
 
     /// How well an object is seen, 0 to 1: a product of logistic curves, each 1/2
     /// where the model says so.
-    fn quality(&self, brightness: f64, object: &VisibleObject, bbox: &BoundingBox) -> f64 {
+    fn quality(&self, light: f64, object: &VisibleObject, bbox: &BoundingBox) -> f64 {
         let side = f64::from(bbox.width().min(bbox.height()));
         // Of the logarithm of how many times better than half-way it is.
         let curve = |times: f64, softness: f64| 1.0 / (1.0 + times.max(1e-9).powf(-1.0 / softness));
         let blur = object.blur_px / side;
         curve(side / self.model.half_size_px, 0.2)
             * curve(object.visible_share / self.model.half_visible, 0.15)
-            * curve(brightness / self.model.half_brightness, 0.2)
+            * curve(light / self.model.half_light, 0.2)
             * if blur > 0.0 { curve(self.model.half_blur / blur, 0.25) } else { 1.0 }
     }
 }

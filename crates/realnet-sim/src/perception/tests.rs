@@ -111,6 +111,15 @@ fn maps_are_reduced_smeared_cut_off_and_have_holes() {
 }
 
 #[test]
+fn a_blind_network_guesses_the_same_everywhere() {
+    let faults = vec![Window::new(1.0, 2.0, DepthFault::Blind)];
+    let network = DepthNetwork::new(DepthNetworkModel { faults, ..exact() }, 3);
+    let at = |seconds| network.infer(&flat(Stamp::from_secs_f64(seconds), 0.7)).unwrap();
+    assert!(at(0.9).data().iter().all(|depth| *depth == 0.7));
+    assert!(at(1.5).data().iter().all(|depth| (*depth - 2.5).abs() < 1e-6));
+}
+
+#[test]
 fn a_network_is_slow_late_and_fails_when_told_to() {
     let run = |faults| {
         let mut model = DepthNetworkModel::default();
@@ -162,10 +171,10 @@ fn silent() -> DetectorModel {
 }
 
 /// Share of frames in which an object is found.
-fn found(object: VisibleObject, brightness: f64) -> f64 {
+fn found(object: VisibleObject, light: f64) -> f64 {
     let detector = Detector::new(DetectorModel { miss: 0.0, ..silent() }, 21);
     let count = (0..6000)
-        .filter(|i| !detector.infer(frame(*i), PICTURE, brightness, &[object]).is_empty())
+        .filter(|i| !detector.infer(frame(*i), PICTURE, light, &[object]).is_empty())
         .count();
     count as f64 / 6000.0
 }
@@ -179,11 +188,11 @@ fn objects_are_found_by_size_share_light_and_blur() {
     let half = [
         (object(BoundingBox::from_center(300.0, 200.0, 3.0 * small, small)), 0.4),
         (VisibleObject { visible_share: model.half_visible, ..good }, 0.4),
-        (good, model.half_brightness),
+        (good, model.half_light),
         (VisibleObject { blur_px: 60.0 * model.half_blur, ..good }, 0.4),
     ];
-    for (object, brightness) in half {
-        let share = found(object, brightness);
+    for (object, light) in half {
+        let share = found(object, light);
         assert!((share - 0.5).abs() < 0.05, "{share} of {object:?}");
     }
     for hopeless in [

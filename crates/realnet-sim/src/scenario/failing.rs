@@ -92,6 +92,7 @@ pub(super) fn blackout(draft: &mut Draft) {
     draft.setup.camera.outages.push(Window::new(outage_s, outage_s + 1.0, ()));
     let dark_s = draft.between(7.8, 8.2);
     draft.setup.scene.light_changes.push(LightChange { time_s: dark_s, factor: 0.0 });
+    draft.setup.depth.faults.push(Window::new(dark_s, f64::INFINITY, DepthFault::Blind));
     // The last valid input is a frame before the outage, and the last look at the
     // target one before the dark.
     let coasting_s = draft.setup.control.lost.stop_after_s;

@@ -50,18 +50,21 @@ pub(super) fn cut_in(draft: &mut Draft) {
     let (kind, speed, side) = (draft.any_car(), draft.about(0.5), draft.side());
     draft.gap(1.4);
     draft.target(kind, Route::new(Pose2::IDENTITY).straight(6.0), starting(speed));
-    // Beside the way, a little behind the target; in between; and off again.
+    // It comes from behind, passes the follower, and drives beside the way as fast as
+    // the target and a little behind it; moves over, stays, and leaves again.
     let other = VehicleKind::Buggy.size();
     let behind = kind.size().rear_overhang + draft.between(0.25, 0.35) + other.front();
-    let (lane, over) = (0.6 * side, 1.5);
-    let waits = speed * draft.between(2.0, 2.5);
-    let route = Route::new(Pose2::new(-behind, lane, 0.0))
-        .straight(waits)
+    let (back, faster, change) = (1.2, 0.6, 0.7);
+    let caught_up = faster * faster / change;
+    let profile = starting(speed + faster).hold((back - caught_up) / faster).change(speed, change);
+    let matched = profile.way(profile.changes_until());
+    let (lane, over) = (0.6 * side, 1.3);
+    let route = Route::new(Pose2::new(-behind - back, lane, 0.0))
+        .straight(matched)
         .lane_change(-lane, over)
-        .straight(0.8)
+        .straight(0.5)
         .lane_change(lane, over)
         .straight(1.0);
-    let profile = starting(speed);
     let car = ScriptedVehicle { kind: VehicleKind::Buggy, route, profile, start: 0.0 };
     draft.setup.others.push(car);
     draft.setup.expectations.min_way_m = 1.5;
