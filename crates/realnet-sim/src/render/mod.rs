@@ -49,3 +49,6 @@ pub use renderer::{Actor, Renderer, Shot};
 pub use truth::{Rendered, Truth};
 
 pub(crate) use texture::{SIDE as TEXTURE_SIDE, Texture};
+
+#[cfg(test)]
+mod tests;

@@ -349,9 +349,12 @@ impl Builder<'_> {
                 if side < 0.0 {
                     quad.swap(1, 3);
                 }
-                let area = (quad[1] - quad[0]).xy().perp(&(quad[2] - quad[0]).xy());
+                let turn = |k: usize| {
+                    let (a, b, c) = (quad[k], quad[(k + 1) % 4], quad[(k + 2) % 4]);
+                    (b - a).xy().perp(&(c - b).xy())
+                };
                 // Where the way turns sharply a strip may fold over: leave it out.
-                if area < 1e-6 {
+                if (0..4).any(|k| turn(k) < 1e-6) {
                     continue;
                 }
                 let along = (way[i] - way[i - 1]).try_normalize(1e-9).unwrap_or_else(Vector2::x);

@@ -82,3 +82,6 @@ impl Scene {
         (self.spec.light * factor).max(0.0)
     }
 }
+
+#[cfg(test)]
+mod tests;
