@@ -1,6 +1,7 @@
 //! A world with ground truth: rooms, cars, camera, latency and faults.
 
 mod closed_loop;
+pub mod dataset;
 pub mod dynamics;
 mod log;
 mod metrics;
