@@ -75,7 +75,6 @@
 //!   [`SpeedOptions::kd`]).
 //! - The governor looks at inputs and commands alone, not at what the controller made of
 //!   them.
-//
 
 mod check;
 mod controller;

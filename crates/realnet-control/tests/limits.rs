@@ -87,7 +87,14 @@ prop_compose! {
 }
 
 fn options() -> impl Strategy<Value = ControlOptions> {
-    let drive = prop_oneof![Just(Drive::CAR), Just(Drive::ROBOT)];
+    // The wide one's wheels are the limit: turning takes from its speed.
+    let wide = Drive::Differential {
+        track_m: 0.6,
+        max_wheel_speed_m_s: 0.9,
+        max_yaw_rate_rad_s: 3.0,
+        max_yaw_acceleration_rad_s2: 100.0,
+    };
+    let drive = prop_oneof![2 => Just(Drive::CAR), 1 => Just(Drive::ROBOT), 1 => Just(wide)];
     let rule = prop_oneof![
         Just(PursuitRule::Trail),
         Just(PursuitRule::Target),
@@ -96,9 +103,10 @@ fn options() -> impl Strategy<Value = ControlOptions> {
     let band = prop_oneof![Just(0.0), Just(0.1), Just(0.3)];
     let numbers = (0.0..1.0f64, -0.2..0.2f64, 0.0..3.0f64);
     (drive, rule, band, numbers, any::<bool>(), any::<bool>()).prop_map(
-        |(drive, rule, band, (reverse, trim, compensation), brake, turn)| {
+        move |(drive, rule, band, (reverse, trim, compensation), brake, turn)| {
             let mut options = ControlOptions::default();
             options.vehicle.drive = drive;
+            options.vehicle.max_deceleration_m_s2 = if drive == wide { 1.5 } else { 4.0 };
             options.vehicle.dead_band = DeadBand { min_speed_m_s: band, ..DeadBand::default() };
             options.vehicle.max_reverse_speed_m_s = if reverse < 0.5 { 0.0 } else { reverse };
             options.vehicle.lag_compensation = compensation;

@@ -244,6 +244,67 @@ fn near_the_stopping_radius_it_does_not_start_and_stop() {
 }
 
 #[test]
+fn after_doubt_a_little_more_certainty_is_asked_for() {
+    let mut bench = Bench::new(ControlOptions::default(), 8);
+    bench.drive();
+    let doubt = |share: f64| {
+        move |state: &mut TargetState| {
+            let estimate = state.estimate.as_mut().unwrap();
+            let std = share * estimate.distance();
+            estimate.position_covariance = Matrix2::identity() * std * std;
+        }
+    };
+    assert_eq!(bench.step(doubt(0.34)).stop, None);
+    stands(bench.step(doubt(0.36)), StopReason::TooUncertain);
+    stands(bench.step(doubt(0.34)), StopReason::TooUncertain);
+    stands(bench.step(doubt(0.29)), StopReason::TooUncertain);
+    assert_eq!(bench.step(doubt(0.27)).stop, None);
+    assert_eq!(bench.step(doubt(0.34)).stop, None);
+}
+
+#[test]
+fn a_robot_that_brakes_stays_on_its_curve() {
+    let mut options = ControlOptions { vehicle: VehicleOptions::robot(), ..Default::default() };
+    options.governor.stop = StopAction::Brake;
+    let mut bench = Bench::new(options, 9);
+    let aside = |state: &mut TargetState| state.estimate.as_mut().unwrap().position.y = 0.6;
+    let mut last = DriveCommand::default();
+    for _ in 0..60 {
+        last = bench.step(aside);
+    }
+    assert!(last.speed > 0.5 && last.yaw_rate > 0.1, "{last:?}");
+    let curvature = last.yaw_rate / last.speed;
+    bench.controller.request_stop();
+    let mut brakes = 0;
+    loop {
+        let command = bench.idle();
+        if command.speed == 0.0 {
+            assert_eq!(command.yaw_rate, 0.0);
+            break;
+        }
+        assert!((command.yaw_rate / command.speed - curvature).abs() < 1e-9, "{command:?}");
+        brakes += 1;
+    }
+    assert!(brakes >= 3);
+}
+
+#[test]
+fn a_stop_forgets_the_integral() {
+    let mut bench = Bench::new(ControlOptions::default(), 10);
+    // 0.2 m too far for a while
+    for _ in 0..100 {
+        bench.step(|state| state.estimate = Some(ahead(1.54)));
+    }
+    let integral = |bench: &Bench| bench.controller.telemetry().gap.unwrap().integral_m_s;
+    assert!(integral(&bench) > 0.02);
+    bench.controller.request_stop();
+    bench.idle();
+    bench.controller.release();
+    bench.step(|state| state.estimate = Some(ahead(1.34)));
+    assert!(integral(&bench).abs() < 0.005);
+}
+
+#[test]
 fn braking_instead_of_0_at_once_takes_the_greatest_deceleration() {
     let mut options = ControlOptions::default();
     options.governor.stop = StopAction::Brake;

@@ -70,3 +70,73 @@ fn aim_gap_and_own_speed_are_told() {
     assert_eq!(stopped.sent.stop, Some(StopReason::TooClose));
     assert!(stopped.proposal.stop.is_none());
 }
+
+/// Target and robot stand 0.8 m apart, the target backs up.
+fn backing(age: f64, trail: &[Vector2<f64>]) -> Telemetry {
+    let mut options = ControlOptions::default();
+    options.vehicle.max_reverse_speed_m_s = 0.5;
+    let mut controller = Controller::new(options).unwrap();
+    for frame in 0..20 {
+        let now = Stamp::of_frame(frame, 30.0);
+        let target = TargetState {
+            stamp: controller.effect_time(now),
+            measured: Some(Stamp::from_secs_f64(now.secs_f64() - age)),
+            status: TrackStatus::Tracking,
+            estimate: Some(TargetEstimate {
+                position: Vector2::new(1.14, 0.1),
+                velocity: Vector2::new(-0.2, 0.0),
+                acceleration: Vector2::zeros(),
+                position_covariance: Matrix2::identity() * 1e-4,
+                velocity_covariance: Matrix2::identity() * 1e-4,
+            }),
+        };
+        controller.step(&ControlInput { now, target: &target, trail, own_speed: None });
+    }
+    *controller.telemetry()
+}
+
+#[test]
+fn backwards_it_faces_the_target_and_only_while_it_sees_it() {
+    let trail: Vec<_> = (0..30).map(|i| Vector2::new(0.05 * f64::from(i) - 0.3, 0.1)).collect();
+    let seen = backing(0.0, &trail);
+    assert!(seen.sent.speed < -0.2, "{seen:?}");
+    assert!(!seen.aim.unwrap().on_trail);
+    // the target is on the left: backwards that takes wheels to the right
+    assert!(seen.curvature > 0.0 && seen.sent.steering_angle < 0.0);
+    assert!(seen.sent.yaw_rate > 0.0);
+    let coasting = backing(0.4, &trail);
+    assert_eq!((coasting.phase, coasting.sent.speed), (Phase::Coasting, 0.0));
+}
+
+#[test]
+fn the_steering_goes_further_while_its_lag_is_made_up_for() {
+    let angles = |lag_compensation: f64| {
+        let mut options = ControlOptions::default();
+        options.vehicle.lag_compensation = lag_compensation;
+        let mut controller = Controller::new(options).unwrap();
+        let mut angles = Vec::new();
+        for frame in 0..60 {
+            let now = Stamp::of_frame(frame, 30.0);
+            let target = TargetState {
+                stamp: controller.effect_time(now),
+                measured: Some(now),
+                status: TrackStatus::Tracking,
+                estimate: Some(TargetEstimate {
+                    position: Vector2::new(2.0, 0.4),
+                    velocity: Vector2::new(0.5, 0.0),
+                    acceleration: Vector2::zeros(),
+                    position_covariance: Matrix2::identity() * 1e-4,
+                    velocity_covariance: Matrix2::identity() * 1e-4,
+                }),
+            };
+            angles.push(controller.step(&ControlInput::new(now, &target)).steering_angle);
+        }
+        angles
+    };
+    let wanted = (0.26_f64 * 2.0 * 0.4 / (4.0 + 0.16)).atan();
+    let greatest = |angles: &[f64]| angles.iter().copied().fold(0.0, f64::max);
+    let (without, with) = (angles(0.0), angles(1.0));
+    assert!((greatest(&without) - wanted).abs() < 1e-9);
+    assert!(greatest(&with) > 1.5 * wanted && greatest(&with) <= 2.0 * wanted + 1e-9);
+    assert!((with.last().unwrap() - wanted).abs() < 1e-4);
+}
