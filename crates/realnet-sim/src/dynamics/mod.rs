@@ -1,6 +1,6 @@
 //! How vehicles answer to commands, and how near they come to each other.
 //!
-//! A vehicle takes [`DriveCommand`]s by their stamps and carries them out after the
+//! A vehicle takes [`DriveCommand`](realnet_core::DriveCommand)s by their stamps and carries them out after the
 //! dead time of its actuators, through the dead band, the lags and the limits of
 //! motor and steering, and through tyres that slip when they are asked for more than
 //! friction gives. Time is a grid of 1 ms from the vehicle's start: what a vehicle

@@ -106,9 +106,9 @@ pub(super) fn tight_turns(draft: &mut Draft) {
     draft.wide_camera();
     let route = Route::new(Pose2::IDENTITY)
         .straight(0.4)
-        .turn(side, 0.85 * PI, 0.4)
+        .turn(0.87 * side, 0.8 * PI, 0.4)
         .straight(0.2)
-        .turn(-side, 0.85 * PI, 0.4);
+        .turn(-0.87 * side, 0.8 * PI, 0.4);
     draft.target(kind, route, starting(speed));
     let expect = &mut draft.setup.expectations;
     expect.max_gap_rmse_m = Some(0.12);
@@ -118,11 +118,11 @@ pub(super) fn tight_turns(draft: &mut Draft) {
 
 pub(super) fn figure_eight(draft: &mut Draft) {
     let (kind, side) = (draft.any_car(), draft.side());
-    let speed = draft.about(0.85);
+    let speed = draft.about(0.9);
     draft.gap(0.65);
     draft.wide_camera();
     draft.setup.scene.kind = SceneKind::Hall;
-    let curvature = side * draft.between(0.85, 1.0);
+    let curvature = side * draft.between(0.75, 0.88);
     let route = Route::new(Pose2::IDENTITY).straight(0.5).turn(curvature, 1.9 * PI, 0.5).turn(
         -curvature,
         1.9 * PI,

@@ -37,7 +37,12 @@ static LIST: [Scenario; 32] = [
     new("stop-and-go", 12.0, driving::stop_and_go, "It stops and starts again, twice."),
     new("hard-braking", 8.0, driving::hard_braking, "It brakes at 4 m/s^2 from 0.9 m/s."),
     new("slalom", 11.0, driving::slalom, "It drives a slalom."),
-    new("tight-turns", 12.0, driving::tight_turns, "It turns around on circles of 1 m, both ways."),
+    new(
+        "tight-turns",
+        12.0,
+        driving::tight_turns,
+        "It turns around on circles of 1.15 m, both ways.",
+    ),
     new("figure-eight", 13.0, driving::figure_eight, "It drives a figure eight."),
     new("backwards", 11.0, driving::backwards, "It stops and backs up towards the follower."),
     new("fast", 9.0, driving::fast, "It drives away through curves at 1.2 m/s."),
