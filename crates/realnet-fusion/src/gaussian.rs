@@ -200,22 +200,23 @@ impl<const N: usize> Gaussian<N> {
         row: &SVector<f64, N>,
         variance: f64,
     ) -> Result<f64, GaussianError> {
-        self.update_first(residual, row, variance, N)
+        self.update_only(residual, row, variance, |_| true)
     }
 
-    /// [`Gaussian::update`] that corrects only the first `count` numbers. The others are
-    /// considered with their deviations and correlations, but not corrected (Schmidt's
-    /// consider filter): for numbers that the measurement must not tell anything about.
+    /// [`Gaussian::update`] that corrects only the numbers that `corrects` says by their
+    /// index. The others are considered with their deviations and correlations, but not
+    /// corrected (Schmidt's consider filter): for numbers that the measurement must not
+    /// tell anything about.
     ///
     /// # Errors
     ///
     /// Those of [`Gaussian::update`].
-    pub fn update_first(
+    pub fn update_only(
         &mut self,
         residual: f64,
         row: &SVector<f64, N>,
         variance: f64,
-        count: usize,
+        corrects: impl Fn(usize) -> bool,
     ) -> Result<f64, GaussianError> {
         let invalid = |what, value| Err(GaussianError::Invalid { what, value });
         if !residual.is_finite() {
@@ -248,15 +249,14 @@ impl<const N: usize> Gaussian<N> {
             self.pivots[j] = (self.pivots[j] * (before / sum)).max(SMALLEST_PIVOT);
         }
         gain /= sum;
-        if count < N {
-            // A gain that differs from the best one costs the variance of the residual
-            // along the difference.
-            let mut missed = gain;
-            for i in 0..N {
-                if i < count { missed[i] = 0.0 } else { gain[i] = 0.0 }
-            }
-            self.add_noise(&missed, sum);
+        // A gain that differs from the best one costs the variance of the residual along
+        // the difference.
+        let mut missed = SVector::<f64, N>::zeros();
+        for i in (0..N).filter(|i| !corrects(*i)) {
+            missed[i] = gain[i];
+            gain[i] = 0.0;
         }
+        self.add_noise(&missed, sum);
         self.mean += gain * residual;
         if self.is_finite() && sum.is_finite() {
             Ok(sum)

@@ -177,7 +177,7 @@ fn no_drift_of_the_scale_in_minutes() {
         run.from_s = 100.0;
         let score = run.score();
         let bias = score.mean(score.bias);
-        assert!(bias.abs() < 0.03, "moving {moving}, ground {ground:?}: {bias}");
+        assert!(bias.abs() < 0.05, "moving {moving}, ground {ground:?}: {bias}");
     }
 }
 

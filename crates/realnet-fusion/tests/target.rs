@@ -231,6 +231,28 @@ fn a_late_map_corrects_what_was_derived_since() {
     assert!(after.std_m / after.depth_m < before.std_m / before.depth_m);
 }
 
+/// Robot and target drive at 0.5 m/s. A better scale changes the distance; the speed
+/// over ground, which is the robot's own, it must not change.
+#[test]
+fn a_corrected_scale_does_not_change_the_speed_of_who_keeps_the_distance() {
+    let mut filter = filter();
+    let camera = |t: f64| Pose2::new(0.5 * t, 0.0, 0.0);
+    for i in 0..60 {
+        let t = f64::from(i) / 30.0;
+        filter.push(direction(t, camera(t), 0.0)).unwrap();
+        filter.push(range(t, camera(t), 1.3, FIRST)).unwrap();
+    }
+    let newest = filter.newest().unwrap();
+    let before = filter.track_at(newest).unwrap().motion.unwrap();
+    let stamp = newest.secs_f64();
+    let second = RangeSource::Network { map: newest };
+    filter.push(range(stamp, camera(stamp), 0.9, second)).unwrap();
+    let after = filter.track_at(newest).unwrap().motion.unwrap();
+    assert!(after.position.x < before.position.x - 0.15);
+    let change = (after.velocity - before.velocity).norm();
+    assert!(change < 0.015 && (after.velocity.x - 0.5).abs() < 0.03, "{change} {}", after.velocity);
+}
+
 #[test]
 fn a_map_that_is_older_than_all_followed_is_left_out() {
     let mut filter = filter();

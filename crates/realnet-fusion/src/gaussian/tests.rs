@@ -52,7 +52,7 @@ proptest! {
     ) {
         let covariance = covariance_of(&root);
         let mut gaussian = Gaussian::new(mean, &covariance).unwrap();
-        gaussian.update_first(residual, &row, variance, count).unwrap();
+        gaussian.update_only(residual, &row, variance, |i| i < count).unwrap();
         let mut gain = covariance * row / ((row.transpose() * covariance * row).x + variance);
         gain.rows_range_mut(count..).fill(0.0);
         // Joseph's form holds for any gain.

@@ -23,6 +23,11 @@ const GROUND: usize = NETWORK + 1;
 const SIZE: usize = NETWORK + 2;
 const STATES: usize = NETWORK + 3;
 
+/// So many ranges of a map tell of its scale error; those after them of the motion alone.
+/// What the motion itself tells of the scale is not wanted: a follower moves as the target
+/// does, so its motion is no independent view of it, and in minutes the range would drift.
+const LEARNING_RANGES: u32 = 3;
+
 /// Change of the logarithm of the range after which the error of the ground ranges is
 /// another one.
 const GROUND_STEP: f64 = 0.15;
@@ -51,6 +56,23 @@ impl Stream {
     }
 }
 
+/// A depth map whose scale error is followed.
+#[derive(Clone, Copy, Debug)]
+struct MapInUse {
+    stamp: Stamp,
+    /// Ranges of it after the first one.
+    ranges: u32,
+}
+
+/// Which errors a measurement corrects, besides the motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Tells {
+    All,
+    /// That of its own map alone.
+    Own,
+    Motion,
+}
+
 /// What is known of one stream.
 #[derive(Clone, Copy, Debug, Default)]
 struct StreamState {
@@ -69,7 +91,7 @@ pub(crate) struct TargetMoment {
     /// There is a target; otherwise only the errors mean something.
     alive: bool,
     /// Which map's scale error is in which place.
-    maps: [Option<Stamp>; MAPS],
+    maps: [Option<MapInUse>; MAPS],
     camera: Option<Camera>,
     /// The range, roughly, at which the error of the ground ranges was learned.
     ground_depth: f64,
@@ -198,21 +220,25 @@ impl TargetModel {
         }
     }
 
-    /// The place of a map's scale error, and whether the map is new. A new map takes the
-    /// place of the oldest. None for a map that is older than all that are followed.
-    /// Depends on stamps alone.
-    fn place_of(&self, moment: &mut TargetMoment, map: Stamp) -> Option<(usize, bool)> {
-        if let Some(place) = moment.maps.iter().position(|known| *known == Some(map)) {
-            return Some((FIRST_MAP + place, false));
+    /// The place of a map's scale error, and how many ranges of the map there were. A new
+    /// map takes the place of the oldest. None for a map that is older than all that are
+    /// followed. Depends on stamps alone.
+    fn place_of(&self, moment: &mut TargetMoment, map: Stamp) -> Option<(usize, u32)> {
+        let known = |slot: &Option<MapInUse>| slot.is_some_and(|known| known.stamp == map);
+        if let Some(place) = moment.maps.iter().position(known) {
+            let slot = moment.maps.get_mut(place)?.as_mut()?;
+            slot.ranges = slot.ranges.saturating_add(1);
+            return Some((FIRST_MAP + place, slot.ranges));
         }
         // None sorts before all stamps.
-        let (place, oldest) = moment.maps.iter_mut().enumerate().min_by_key(|(_, map)| **map)?;
-        if oldest.is_some_and(|oldest| oldest > map) {
+        let by_stamp = |(_, slot): &(usize, &mut Option<MapInUse>)| slot.map(|used| used.stamp);
+        let (place, oldest) = moment.maps.iter_mut().enumerate().min_by_key(by_stamp)?;
+        if oldest.is_some_and(|oldest| oldest.stamp > map) {
             return None;
         }
-        *oldest = Some(map);
+        *oldest = Some(MapInUse { stamp: map, ranges: 0 });
         moment.gaussian.renew(FIRST_MAP + place, NETWORK, self.options.map_scale_std.powi(2));
-        Some((FIRST_MAP + place, true))
+        Some((FIRST_MAP + place, 0))
     }
 
     /// Uses a measurement if its residual is within `gate` deviations.
@@ -225,16 +251,18 @@ impl TargetModel {
         let pose = &measurement.fixed_from_camera;
         let camera = Camera::moved_to(moment.camera, measurement.stamp, pose);
         moment.camera = Some(camera);
-        let (place, tells_errors) = match measurement.reading {
+        let (place, tells) = match measurement.reading {
             Reading::Range { source: RangeSource::Network { map }, .. } => {
                 match self.place_of(moment, map) {
-                    Some(place) => place,
+                    Some((place, 0)) => (place, Tells::All),
+                    Some((place, ranges)) if ranges < LEARNING_RANGES => (place, Tells::Own),
+                    Some((place, _)) => (place, Tells::Motion),
                     None => return Outcome::OldMap,
                 }
             }
-            Reading::Range { source: RangeSource::Ground, .. } => (GROUND, true),
-            Reading::Range { source: RangeSource::Size, .. } => (SIZE, true),
-            Reading::Direction { .. } => (1, false),
+            Reading::Range { source: RangeSource::Ground, .. } => (GROUND, Tells::All),
+            Reading::Range { source: RangeSource::Size, .. } => (SIZE, Tells::All),
+            Reading::Direction { .. } => (1, Tells::Motion),
         };
         let state = moment.gaussian.mean().fixed_rows::<6>(0).into_owned();
         let Some(seen) = Seen::new(&state, pose, &camera) else {
@@ -263,8 +291,9 @@ impl TargetModel {
         if deviations.is_nan() || deviations.abs() > gate {
             return Outcome::Gated { deviations };
         }
-        let count = if tells_errors { STATES } else { FIRST_MAP };
-        if gaussian.update_first(residual, &row, std * std, count).is_err() {
+        let corrects =
+            |i| i < FIRST_MAP || tells == Tells::All || (tells == Tells::Own && i == place);
+        if gaussian.update_only(residual, &row, std * std, corrects).is_err() {
             return Outcome::Gated { deviations };
         }
         // The correction is made in the coordinates of what is seen, where it is linear:
