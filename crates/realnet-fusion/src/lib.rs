@@ -103,6 +103,20 @@
 //! * all maps share an error that changes slowly;
 //! * ground ranges share the error of the camera's pitch, size ranges that of the size.
 //!
+//! What cannot be known must stay unknown, or the deviations are no longer honest. The
+//! range and the scale error of its map can grow and shrink together, and no range of that
+//! map tells. Two things would make a plain extended Kalman filter believe that it knows:
+//!
+//! * the direction of what is not observable, as the filter sees it, turns with every
+//!   correction of the estimate. So corrections are made in the logarithm of the range, the
+//!   tangent of the direction and the motion relative to the camera over the range, where
+//!   it does not turn, and the covariance goes along with the estimate;
+//! * the motion of a target of known agility, seen from a robot of known motion, tells of
+//!   its distance; but a follower's motion is an answer to the target's, so this is no
+//!   independent view, and in minutes of following the range would drift away. So only the
+//!   first ranges of a map tell of errors, and the others of the motion alone (Schmidt's
+//!   consider filter, [`Gaussian::update_only`]).
+//!
 //! ```
 //! use realnet_core::{Pose2, Stamp, TrackStatus};
 //! use realnet_fusion::{
