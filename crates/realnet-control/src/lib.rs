@@ -94,6 +94,6 @@ pub use input::{ControlInput, Gap};
 pub use limits::{Limiter, Motion};
 pub use lost::{LostOptions, Phase, Search};
 pub use predictor::VehiclePredictor;
-pub use pursuit::{Aim, PursuitOptions, PursuitRule, aim};
+pub use pursuit::{Aim, PursuitOptions, PursuitRule, ViewLimit, aim};
 pub use speed::{GapControl, GapController, OwnMotion, SpeedBound, SpeedBounds, SpeedOptions};
 pub use vehicle::{DeadBand, Drive, VehicleOptions};

@@ -44,6 +44,8 @@ pub struct PursuitOptions {
     /// Points of the trail that are further apart are not one trail, metres: only what
     /// came after the jump is followed. The same from its newest point to the target.
     pub max_trail_jump_m: f64,
+    /// Where the trail gives way to keeping the target in view; `None`: nowhere.
+    pub view: Option<ViewLimit>,
     /// A differential drive turns on the spot towards the target, as fast as this times
     /// the bearing (1/s), the less the faster it drives.
     pub facing_gain: f64,
@@ -59,6 +61,7 @@ impl Default for PursuitOptions {
             lookahead_s: 0.25,
             max_lookahead_m: 1.5,
             max_trail_jump_m: 0.5,
+            view: None,
             facing_gain: 2.0,
             facing_until_m_s: 0.3,
         }
@@ -82,6 +85,7 @@ impl PursuitOptions {
             "at least min_lookahead_m, at most 1000 m",
         )?;
         OptionError::positive("pursuit.max_trail_jump_m", self.max_trail_jump_m)?;
+        self.view.as_ref().map_or(Ok(()), ViewLimit::check)?;
         OptionError::not_negative("pursuit.facing_gain", self.facing_gain)?;
         OptionError::positive("pursuit.facing_until_m_s", self.facing_until_m_s)
     }
@@ -90,6 +94,40 @@ impl PursuitOptions {
     #[must_use]
     pub fn lookahead_m(&self, speed_m_s: f64) -> f64 {
         (self.min_lookahead_m + self.lookahead_s * speed_m_s.abs()).min(self.max_lookahead_m)
+    }
+}
+
+/// What the camera sees: a target that leaves it is lost. On a bend of radius `R` a robot
+/// that drives exactly where the target drove sees it, at the distance `d` along the bend,
+/// under about `d / (2 R)`; a camera of 70 degrees loses it where `R < 0.8 d`. So the more
+/// the target nears the edge of the picture, the more the robot cuts the bend.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewLimit {
+    /// The camera's place ahead of the origin of the base frame, metres.
+    pub camera_forward_m: f64,
+    /// Below this bearing of the target from the camera the trail alone is pursued,
+    /// radians.
+    pub from_rad: f64,
+    /// From this bearing on the target alone is, radians.
+    pub until_rad: f64,
+}
+
+impl ViewLimit {
+    /// Share of the target itself in what is pursued, 0 to 1.
+    fn share(&self, target: &Vector2<f64>) -> f64 {
+        let bearing = target.y.atan2(target.x - self.camera_forward_m).abs();
+        ((bearing - self.from_rad) / (self.until_rad - self.from_rad)).clamp(0.0, 1.0)
+    }
+
+    fn check(&self) -> Result<(), OptionError> {
+        OptionError::not_negative("pursuit.view.camera_forward_m", self.camera_forward_m)?;
+        OptionError::not_negative("pursuit.view.from_rad", self.from_rad)?;
+        OptionError::check(
+            "pursuit.view.until_rad",
+            self.until_rad,
+            self.until_rad > self.from_rad && self.until_rad.is_finite(),
+            "above pursuit.view.from_rad",
+        )
     }
 }
 
@@ -129,7 +167,10 @@ pub fn aim(
             let power = point.norm_squared() - distance_m * distance_m;
             2.0 * point.y / power.max(least * least)
         }
-        PursuitRule::Trail | PursuitRule::Target => curvature_to(&point, least),
+        PursuitRule::Trail | PursuitRule::Target => {
+            let share = options.view.map_or(0.0, |view| view.share(target));
+            (1.0 - share) * curvature_to(&point, least) + share * curvature_to(target, least)
+        }
     };
     Aim { point, on_trail: on_trail.is_some(), curvature }
 }

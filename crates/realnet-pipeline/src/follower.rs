@@ -3,7 +3,7 @@
 use crate::odometry::{CameraMount, OwnOdometry};
 use crate::ranging::{Ranging, RangingError, RangingOptions, SeenRange};
 use crate::sight::{Sight, SightOptions, TargetBox};
-use realnet_control::{ControlInput, ControlOptions, Controller, OptionError};
+use realnet_control::{ControlInput, ControlOptions, Controller, OptionError, ViewLimit};
 use realnet_core::nalgebra::Vector2;
 use realnet_core::{
     BoundingBox, CameraModel, DepthMap, Detection, DriveCommand, Frame, Pose2, Stamp, TargetState,
@@ -20,12 +20,15 @@ use thiserror::Error;
 /// How far back the target's path is given to the controller, seconds.
 const TRAIL_S: f64 = 6.0;
 /// Share of the difference between seen and promised speed that is believed in a frame.
-const SPEED_GAIN: f64 = 0.3;
-/// Turning targets show other sides: how well their height in the picture is known.
-const HEIGHT_STD: f64 = 0.35;
+const SPEED_GAIN: f64 = 0.1;
+/// Share of a whole box in what is known about their shape.
+const ASPECT_GAIN: f32 = 0.1;
+/// How well the height of the target's box is known, in its logarithm: it shows other
+/// sides when it turns.
+const HEIGHT_STD: f64 = 0.15;
 
 /// Everything that can be set.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FollowerOptions {
     /// Where the camera sits.
     pub mount: CameraMount,
@@ -39,6 +42,23 @@ pub struct FollowerOptions {
     pub fusion: TargetOptions,
     /// How the robot is driven.
     pub control: ControlOptions,
+    /// Whether bends are cut where the camera would lose the target otherwise: sets
+    /// [`PursuitOptions::view`](realnet_control::PursuitOptions::view).
+    pub keep_in_view: bool,
+}
+
+impl Default for FollowerOptions {
+    fn default() -> Self {
+        Self {
+            mount: CameraMount::default(),
+            classes: Vec::new(),
+            sight: SightOptions::default(),
+            ranging: RangingOptions::default(),
+            fusion: TargetOptions::default(),
+            control: ControlOptions::default(),
+            keep_in_view: true,
+        }
+    }
 }
 
 /// Why a follower cannot start.
@@ -87,6 +107,10 @@ pub struct Follower {
     fusion: TargetFilter,
     controller: Controller,
     network: Option<SeenRange>,
+    /// Factor on lengths by the depth map that motions start from.
+    map_scale: f64,
+    /// Width of the target's box over its height, of the last boxes that were whole.
+    aspect: Option<f32>,
     /// Height of the target's box times its range, pixels x metres: to know it again.
     height: Option<f64>,
     trail: Vec<Vector2<f64>>,
@@ -98,6 +122,10 @@ impl Follower {
     /// # Errors
     /// [`FollowerError`] names the option that does not fit.
     pub fn new(camera: &CameraModel, options: FollowerOptions) -> Result<Self, FollowerError> {
+        let mut options = options;
+        if options.keep_in_view {
+            options.control.pursuit.view = view_limit(camera, &options.mount);
+        }
         let max_speed = 2.0 * options.control.vehicle.max_speed_m_s + 1.0;
         Ok(Self {
             sight: Sight::new(options.sight)?,
@@ -106,6 +134,8 @@ impl Follower {
             fusion: TargetFilter::new(options.fusion)?,
             controller: Controller::new(options.control)?,
             network: None,
+            map_scale: 1.0,
+            aspect: None,
             height: None,
             trail: Vec::with_capacity(options.fusion.trail_capacity + options.fusion.capacity),
             options,
@@ -151,7 +181,7 @@ impl Follower {
         let predictor = self.controller.predictor();
         let promised = (predictor.speed_at(stamp), predictor.yaw_rate_at(stamp));
         let motion = self.ranging.frame(frame)?;
-        let step = self.odometry.step(stamp, motion, promised);
+        let step = self.odometry.step(stamp, motion, self.map_scale, promised);
         if step.seen {
             let mixed = |seen: f64, promised: f64| promised + SPEED_GAIN * (seen - promised);
             let speed = mixed(step.speed, promised.0);
@@ -219,10 +249,7 @@ impl Follower {
         let found = sight.detections(stamp, detections, allowed, |detection| {
             let at = TargetBox::of_detection(stamp, detection.bbox, &options.sight);
             match (&expected, ranging.direction(&at)) {
-                // Nothing is known: the surest and largest.
-                (None, _) => {
-                    Some(f64::from(detection.confidence) * f64::from(detection.bbox.area()))
-                }
+                (None, _) => Some(prominence(detection, ranging.width())),
                 (Some(expected), Some((tangent, std))) => {
                     expected.likeness(tangent, std, &detection.bbox, *height)
                 }
@@ -257,8 +284,21 @@ impl Follower {
                 self.network = Some(seen);
             }
             self.measure_range(&seen, RangeSource::Network { map: stamp });
+            if kept.is_ok() {
+                self.map_scale = self.scale_of(&seen).unwrap_or(1.0);
+            }
+        } else if kept.is_ok() {
+            self.map_scale = 1.0;
         }
         kept
+    }
+
+    /// What a map's depths are to be multiplied by, as far as the target tells.
+    fn scale_of(&mut self, seen: &SeenRange) -> Option<f64> {
+        let fixed_from_base = self.odometry.pose_at(seen.stamp)?;
+        let camera = fixed_from_base * self.options.mount.base_from_camera();
+        let range = self.fusion.track_at(seen.stamp).ok()?.range_from(&camera)?;
+        Some((range.depth_m / seen.forward_m).clamp(0.5, 2.0))
     }
 
     /// The command for now.
@@ -311,10 +351,13 @@ impl Follower {
     }
 
     fn measure_direction(&mut self, at: &TargetBox, source: DirectionSource) {
-        if !self.ranging.is_wide(&at.bbox) {
-            return; // the middle of what is seen is not the target's middle
+        if self.ranging.is_whole(&at.bbox) {
+            let aspect = at.bbox.width() / at.bbox.height();
+            let before = self.aspect.unwrap_or(aspect);
+            self.aspect = Some(before + ASPECT_GAIN * (aspect - before));
         }
-        if let Some((tangent, std)) = self.ranging.direction(at) {
+        let whole = self.ranging.completed(at, self.aspect);
+        if let Some((tangent, std)) = whole.and_then(|at| self.ranging.direction(&at)) {
             self.measure(at.stamp, Reading::Direction { tangent, std, source });
         }
     }
@@ -325,6 +368,21 @@ impl Follower {
         let fixed_from_camera = fixed_from_base * self.options.mount.base_from_camera();
         self.fusion.push(TargetMeasurement { stamp, fixed_from_camera, reading }).err()
     }
+}
+
+/// How much a detection suggests itself while nothing is known: sure, large, and ahead.
+fn prominence(detection: &Detection, width: u32) -> f64 {
+    let half = 0.5 * f64::from(width);
+    let aside = (f64::from(detection.bbox.center().0) - half) / (0.3 * half);
+    let size = f64::from(detection.bbox.area()) * f64::from(detection.confidence);
+    size * (-0.5 * aside * aside).exp()
+}
+
+/// From a third of the picture's half width on, the target counts more than its trail.
+fn view_limit(camera: &CameraModel, mount: &CameraMount) -> Option<ViewLimit> {
+    let half = 0.5 * camera.horizontal_fov().ok()?;
+    let camera_forward_m = mount.forward_m.max(0.0);
+    Some(ViewLimit { camera_forward_m, from_rad: 0.33 * half, until_rad: 0.75 * half })
 }
 
 /// Where the target should be in a frame.
@@ -369,13 +427,13 @@ impl Expectation {
     ) -> Option<f64> {
         // A lost target may have turned round; it is known by its size alone.
         let wide = if self.status == TrackStatus::Lost { 3.0 } else { 1.0 };
-        let side = (tangent - self.tangent) / (self.tangent_std * wide).hypot(std).hypot(0.05);
+        let side = (tangent - self.tangent) / (self.tangent_std * wide).hypot(std).hypot(0.02);
         let size = height.map_or(0.0, |height| {
             let expected = height / self.depth_m;
             let log = (f64::from(bbox.height()) / expected).ln();
             log / (wide * self.depth_std_m / self.depth_m).hypot(HEIGHT_STD)
         });
         let distance = side.hypot(size);
-        (distance < 4.0).then_some(-distance)
+        (distance < 3.5).then_some(-distance)
     }
 }

@@ -85,9 +85,16 @@ impl OwnOdometry {
         }
     }
 
-    /// Takes the next frame's motion; `promised` is the speed and rate of turn that
+    /// Takes the next frame's motion, whose lengths are to be multiplied by `scale`;
+    /// `promised` is the speed and rate of turn that
     /// the commands promise for the time since the last frame.
-    pub fn step(&mut self, stamp: Stamp, motion: &Motion, promised: (f64, f64)) -> OwnStep {
+    pub fn step(
+        &mut self,
+        stamp: Stamp,
+        motion: &Motion,
+        scale: f64,
+        promised: (f64, f64),
+    ) -> OwnStep {
         let then_from_now = motion.then_from_now();
         let Some((last_stamp, last)) = self.last else {
             self.remember(stamp, Pose2::IDENTITY);
@@ -99,7 +106,7 @@ impl OwnOdometry {
         // errors cancel.
         let seen = match (then_from_now, self.then) {
             (Some(now), Some((then, before))) if then == motion.then && seconds > 0.0 => {
-                self.seen_step(&(before.inverse() * now), seconds)
+                self.seen_step(&(before.inverse() * now), scale, seconds)
             }
             _ => None,
         };
@@ -111,8 +118,9 @@ impl OwnOdometry {
         step
     }
 
-    fn seen_step(&self, before_from_now: &Pose, seconds: f64) -> Option<OwnStep> {
-        let moved = self.base_from_optical * *before_from_now * self.base_from_optical.inverse();
+    fn seen_step(&self, before_from_now: &Pose, scale: f64, seconds: f64) -> Option<OwnStep> {
+        let step = Pose::new(before_from_now.rotation(), before_from_now.translation() * scale);
+        let moved = self.base_from_optical * step * self.base_from_optical.inverse();
         let twist = moved.log() / seconds;
         let (speed, yaw_rate) = (twist[0], twist[5]);
         let believed = speed.abs() <= self.max_speed && yaw_rate.is_finite();

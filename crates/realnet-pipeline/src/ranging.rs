@@ -333,6 +333,38 @@ impl Ranging {
         forward.filter(|forward| *forward > 0.1).map_or(1.0, f64::recip)
     }
 
+    /// A box that one side of the picture cuts, with the width that its height promises;
+    /// `aspect` is width over height. Boxes in the picture are as they were; `None` for
+    /// one that cannot be completed.
+    #[must_use]
+    pub fn completed(&self, at: &TargetBox, aspect: Option<f32>) -> Option<TargetBox> {
+        let BoundingBox { x0, y0, x1, y1 } = at.bbox;
+        let last = self.camera.width() as f32 - BORDER_PX;
+        let (left, right) = (x0 <= BORDER_PX, x1 >= last);
+        if !(left || right) {
+            return Some(*at);
+        }
+        let width = (aspect? * (y1 - y0)).max(x1 - x0);
+        let bbox = match (left, right) {
+            (true, false) => BoundingBox::new(x1 - width, y0, x1, y1),
+            (false, true) => BoundingBox::new(x0, y0, x0 + width, y1),
+            _ => return None,
+        };
+        // Half of what is guessed at is in the middle.
+        let guess = 0.15 * width;
+        Some(TargetBox {
+            bbox,
+            center_std: [at.center_std[0].hypot(guess), at.center_std[1]],
+            ..*at
+        })
+    }
+
+    /// Pixels in a row of the camera's pictures.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.camera.width()
+    }
+
     /// Whether neither side of the picture cuts the box.
     #[must_use]
     pub fn is_wide(&self, bbox: &BoundingBox) -> bool {

@@ -190,8 +190,8 @@ impl Sight {
     /// Takes what the detector found on the frame of `stamp`, whenever it comes. What is
     /// not `allowed` cannot be the target.
     /// `plausible` says how well a detection suits what is known about the target
-    /// (the higher the better, `None`: not at all); it is asked when no box is
-    /// there to compare with. Returns the target's box on that frame.
+    /// (the higher the better, `None`: not at all); it is asked when there is no box to
+    /// compare with. Returns the target's box on that frame.
     pub fn detections(
         &mut self,
         stamp: Stamp,
@@ -212,7 +212,11 @@ impl Sight {
             best(wanted.clone(), by_overlap)
                 .filter(|d| d.bbox.iou(&at.bbox) >= self.options.min_iou)
         });
+        // While flow holds the box, what lies elsewhere is another one.
         let chosen = overlap.or_else(|| {
+            if at.is_some() && self.anchor.is_some() {
+                return None;
+            }
             let rated = wanted.filter(|d| plausible(d).is_some());
             best(rated, |d| plausible(d).unwrap_or(f64::NEG_INFINITY))
         });

@@ -10,8 +10,9 @@ use crate::render::{
 use crate::scenario::Setup;
 use crate::scene::{Bounds, Obstacle, Scene};
 use realnet_core::nalgebra::{Vector2, Vector3};
-use realnet_core::{DepthMapError, DriveCommand, Frame, Pose2, Stamp};
+use realnet_core::{DepthMap, DepthMapError, DriveCommand, Frame, Pose2, Stamp};
 use realnet_pipeline::{Follower, FollowerError, FollowerOptions, FrameReport, TargetBox};
+use realnet_range::cues::{DepthInBox, DepthInBoxOptions, DepthNoise, OptionError};
 use realnet_range::motion::MotionError;
 use std::ops::ControlFlow;
 use thiserror::Error;
@@ -19,6 +20,8 @@ use thiserror::Error;
 /// Class that the detector calls all vehicles.
 pub const VEHICLE_CLASS: u32 = 0;
 
+/// What the target's pixels have in the mask: it is the first actor.
+const TARGET_MASK: u8 = 1;
 /// A target is visible when at least so much of its silhouette in the picture is not
 /// hidden, and so much of it lies in the picture.
 const VISIBLE: f64 = 0.5;
@@ -32,6 +35,9 @@ pub enum RunError {
     /// The follower's vehicle.
     #[error(transparent)]
     Dynamics(#[from] DynamicsError),
+    /// The rule of the depth in a box.
+    #[error(transparent)]
+    DepthInBox(#[from] OptionError),
     /// A depth map's size.
     #[error(transparent)]
     DepthMap(#[from] DepthMapError),
@@ -116,6 +122,9 @@ struct World<'a> {
     kept: bool,
     last: Option<FrameReport>,
     log: RunLog,
+    /// Depths of the target alone, and the rule that makes a range of them.
+    target_depth: DepthMap,
+    depth_in_box: DepthInBox,
     outline: Vec<Vector2<f64>>,
     objects: Vec<VisibleObject>,
 }
@@ -147,6 +156,8 @@ impl<'a> World<'a> {
             kept: false,
             last: None,
             log,
+            target_depth: picture.depth.clone(),
+            depth_in_box: DepthInBox::new(DepthInBoxOptions::default())?,
             outline: Vec::new(),
             objects: Vec::new(),
             actors: Vec::new(),
@@ -264,6 +275,7 @@ impl<'a> World<'a> {
         let outline = |actor: &Actor| actor.kind.size().corners(&actor.state.world_from_base);
         let gap_m = target
             .map_or(f64::NAN, |target| gap_ahead(&own.world_from_base, &size, &outline(&target)));
+        let range_true_m = truth.filter(is_visible).and_then(|truth| self.true_range(&truth));
         let clearance_m = self.clearance(time_s, &own.world_from_base);
         let telemetry = self.follower.controller().telemetry();
         let (limit, bound) = telemetry.bounds.least();
@@ -272,7 +284,7 @@ impl<'a> World<'a> {
         let status = self.last.map(|report| report.status).unwrap_or_default();
         let log = FrameLog {
             time_s,
-            range_true_m: truth.filter(is_visible).map(|truth| truth.depth_median_m),
+            range_true_m,
             range_network_m: report.and_then(|report| report.network_m),
             range_fast_m: report.and_then(|report| report.fast_m),
             range_fused_m: fused.map(|(range, _)| range),
@@ -309,6 +321,19 @@ impl<'a> World<'a> {
             body.poses.push(actor.state.world_from_base);
         }
         self.log.frames.push(log);
+    }
+
+    /// The depth that a perfect network gives of a perfect box: the rule that the
+    /// follower uses, on the true depths of the target's own pixels.
+    fn true_range(&mut self, truth: &Truth) -> Option<f64> {
+        let picture = &self.picture;
+        self.target_depth.set_stamp(picture.depth.stamp());
+        let own = picture.mask.iter().zip(picture.depth.data());
+        for (out, (mask, depth)) in self.target_depth.data_mut().iter_mut().zip(own) {
+            *out = if *mask == TARGET_MASK { *depth } else { DepthMap::UNKNOWN };
+        }
+        let found = self.depth_in_box.measure(&self.target_depth, truth.bbox, DepthNoise::NONE);
+        found.ok().map(|found| found.depth_m)
     }
 
     /// Distance to whatever is nearest.

@@ -39,7 +39,9 @@ pub struct RunLog {
 pub struct FrameLog {
     /// Exposure time.
     pub time_s: f64,
-    /// Range: true depth of the visible target, metres; `None` when not visible.
+    /// Range: the depth that a perfect network would give of a perfect box, metres, that
+    /// is, the rule of the depth in a box on the true depths of the target's own pixels;
+    /// `None` when not visible.
     pub range_true_m: Option<f64>,
     /// Range of the newest depth map that has arrived, held.
     pub range_network_m: Option<f64>,
