@@ -47,13 +47,8 @@ fn frames(bencher: Bencher<'_, '_>, scene: &Scene, camera: SimCamera) {
             Actor::new(VehicleKind::Truck, 4, at(2.6, -0.4, -0.3)),
         ];
         let own = VehicleState { yaw_rate: 0.4, ..at(0.0, 0.0, 0.05 * t) };
-        let shot = Shot {
-            time_s: t,
-            own,
-            actors: &actors,
-            seed: u64::from(index),
-            ..Shot::default()
-        };
+        let shot =
+            Shot { time_s: t, own, actors: &actors, seed: u64::from(index), ..Shot::default() };
         renderer.render(scene, &shot, &mut picture);
         black_box(picture.truth(0))
     });

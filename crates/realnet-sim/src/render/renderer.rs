@@ -4,7 +4,7 @@ use super::bins::Bins;
 use super::camera::SimCamera;
 use super::canvas::{Canvas, Rays, Span2, TILE};
 use super::edges::Blends;
-use super::sensor::Development;
+use super::sensor::{Development, Exposed};
 use super::shade::{Sky, Stage, draw_tile};
 use super::shadow::{Outline, Shadow};
 use super::simd::Simd;
@@ -209,7 +209,8 @@ impl Renderer {
         let stamp = Stamp::from_secs_f64(shot.time_s);
         let bytes = out.frame.data_mut();
         let (rays, gain) = (&self.rays, out.gain);
-        self.development.develop(self.simd, sensor, rays, light, gain, scale, shot.seed, bytes);
+        let exposed = Exposed { light, gain, scale, seed: shot.seed };
+        self.development.develop(self.simd, sensor, rays, &exposed, bytes);
         out.frame.set_stamp(stamp);
         out.depth.set_stamp(stamp);
         self.write_truth(shot, out);

@@ -13,6 +13,16 @@ const NOISE: usize = 1 << 16;
 /// Units of a kept deviate.
 const UNIT: f32 = 1.0 / 31.0;
 
+/// What fell on the sensor, and how it is read out.
+pub(super) struct Exposed<'a> {
+    pub(super) light: &'a [Vec<f32>; 3],
+    pub(super) gain: f64,
+    /// Applied to the light first.
+    pub(super) scale: f32,
+    /// Of the noise.
+    pub(super) seed: u64,
+}
+
 /// Makes bytes of light.
 #[derive(Clone, Debug)]
 pub(super) struct Development {
@@ -31,7 +41,7 @@ impl Development {
             let (x, y) = ((i % rays.stride) as f64 - cx, (i / rays.stride) as f64 - cy);
             (1.0 - sensor.vignetting * (x * x + y * y) / corner).max(0.0) as f32
         };
-        let mut rng = Pcg64Mcg::seed_from_u64(0x005e_ed0f_4015e);
+        let mut rng = Pcg64Mcg::seed_from_u64(0x5eed_4015);
         let room = NOISE + 3 * rays.stride;
         let deviate = |_| {
             let value: f32 = rng.sample(StandardNormal);
@@ -86,18 +96,16 @@ impl Development {
         sum / f64::from(count.max(1))
     }
 
-    /// Writes the bytes of a picture; `scale` is applied to the light first.
+    /// Writes the bytes of a picture.
     pub(super) fn develop(
         &self,
         simd: super::simd::Simd,
         sensor: &Sensor,
         rays: &Rays,
-        light: &[Vec<f32>; 3],
-        gain: f64,
-        scale: f32,
-        seed: u64,
+        exposed: &Exposed<'_>,
         bytes: &mut [u8],
     ) {
+        let Exposed { light, gain, scale, seed } = *exposed;
         let Rays { width, stride, .. } = *rays;
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let noise = [

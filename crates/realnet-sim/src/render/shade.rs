@@ -1,4 +1,8 @@
 //! The loops over the pixels of a tile: which surface is seen, and its light.
+#![allow(
+    clippy::needless_range_loop,
+    reason = "loops over the lanes of several arrays at once, for the compiler to vectorise"
+)]
 
 use super::bins::Entry;
 use super::canvas::{Canvas, Lane, Rays, TILE, TILE_H, TILE_W};

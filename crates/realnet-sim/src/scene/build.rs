@@ -220,7 +220,7 @@ impl Builder<'_> {
     ) {
         let Some(bounds) = self.scene.bounds else { return };
         let size = bounds.size();
-        let length = if wall % 2 == 0 { size.x } else { size.y };
+        let length = if wall.is_multiple_of(2) { size.x } else { size.y };
         self.on_wall(wall, along + shift / length, half, z, skin);
     }
 

@@ -150,6 +150,9 @@ impl Builder {
     fn rear(&mut self, loft: &Loft, lights: [f64; 2], light_v: [f64; 2], plate_v: [f64; 2]) {
         let red = Skin::new(Texture::Plain, scaled(LAMP_RED, 0.7), LAMP_RED, 2000.0);
         for u in [[lights[0], lights[1]], [1.0 - lights[1], 1.0 - lights[0]]] {
+            let rim = [u[0] - 0.015, u[1] + 0.015];
+            let tall = 0.12 * (light_v[1] - light_v[0]);
+            self.panel(loft, 3, rim, [light_v[0] - tall, light_v[1] + tall], self.dark);
             let light = self.patch(loft, 3, u, light_v, red);
             self.shape.brake_lights.push(light);
         }
@@ -222,13 +225,13 @@ impl Builder {
         let middle = [0.5 * (wing[0] + wing[1]), 0.0];
         let half_wing = [0.5 * (wing[1] - wing[0]), half - 0.006];
         self.body().block(middle, half_wing, [0.112, 0.118], 0.0, &Hexa::all(paint).topped(trim));
-        self.arches(&body, half, rear, front);
+        self.arches(&body, rear, front);
         self.axle(0.0, size.wheel_radius, 0.026, size.width, false);
         self.axle(size.wheelbase, size.wheel_radius, 0.026, size.width, true);
     }
 
     /// Dark wheel arches on both sides of a body.
-    fn arches(&mut self, body: &Loft, _half: f64, rear: f64, front: f64) {
+    fn arches(&mut self, body: &Loft, rear: f64, front: f64) {
         let (size, dark) = (self.size, self.dark);
         let reach = 1.25 * size.wheel_radius;
         for axle in [0.0, size.wheelbase] {
