@@ -7,9 +7,10 @@
 //! and so does 65535 in 16 bits: it is a saturated or invalid pixel (7-Scenes
 //! writes it for 'no measurement'), never a distance.
 
+use crate::atomic::{self, WriteError};
 use crate::picture::Limits;
-use image::ImageDecoder;
 use image::codecs::png::PngDecoder;
+use image::{ImageDecoder, ImageEncoder};
 use realnet_core::{DepthMap, DepthMapError, Stamp};
 use std::io::{self, Cursor, Read};
 use std::path::{Path, PathBuf};
@@ -138,6 +139,39 @@ pub fn decode(bytes: &[u8], scale: f64, limits: &Limits) -> Result<DepthMap, Dep
     Ok(DepthMap::new(Stamp::ZERO, raw.width, raw.height, data)?)
 }
 
+/// Encodes a depth map as a grey PNG of 16 bits, `scale` units to the metre, rounded to
+/// the nearest; unknown depths, and those beyond 65534 units, are 0: unknown.
+///
+/// # Errors
+/// The encoder's message, for a map larger than the format allows, or that `scale` is
+/// not a positive number.
+pub fn encode(map: &DepthMap, scale: f64) -> Result<Vec<u8>, String> {
+    if !(scale > 0.0 && scale.is_finite()) {
+        return Err(DepthDecodeError::Scale { scale }.to_string());
+    }
+    let largest = f64::from(u16::MAX - 1);
+    let units = |depth: f32| {
+        let units = (f64::from(depth) * scale).round();
+        if DepthMap::is_known(depth) && units <= largest { units as u16 } else { 0 }
+    };
+    // The encoder takes 16 bits in the machine's own order.
+    let samples: Vec<u8> = map.data().iter().flat_map(|&d| units(d).to_ne_bytes()).collect();
+    let mut bytes = Vec::new();
+    image::codecs::png::PngEncoder::new(&mut bytes)
+        .write_image(&samples, map.width(), map.height(), image::ExtendedColorType::L16)
+        .map_err(|e| e.to_string())?;
+    Ok(bytes)
+}
+
+/// Writes a depth map as [`encode`] does, whole or not at all. The folder must exist.
+///
+/// # Errors
+/// [`WriteError`] with the path.
+pub fn write(path: &Path, map: &DepthMap, scale: f64) -> Result<(), WriteError> {
+    let bytes = encode(map, scale).map_err(|e| WriteError::new(path, io::Error::other(e)))?;
+    atomic::write(path, &bytes)
+}
+
 /// Samples as they are written, row by row.
 struct Raw {
     width: u32,
@@ -251,7 +285,7 @@ fn header_number(mut text: &[u8]) -> Option<(u32, &[u8])> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+    use image::{ExtendedColorType, codecs::png::PngEncoder};
     use proptest::prelude::*;
 
     fn decoded(bytes: &[u8], scale: f64) -> Result<DepthMap, DepthDecodeError> {
@@ -276,6 +310,15 @@ mod tests {
             assert_eq!((map.width(), map.height()), (3, 2));
             assert_eq!(map.data(), [0.0, 0.001, 1.5, 40.0, 65.534, 0.0]);
         }
+    }
+
+    #[test]
+    fn what_is_encoded_is_decoded() {
+        let data = vec![0.5, 0.0, f32::NAN, 13.1068, 13.1071, 1e9, 0.00012, -1.0];
+        let map = DepthMap::new(Stamp::ZERO, 4, 2, data).unwrap();
+        let back = decoded(&encode(&map, 5000.0).unwrap(), 5000.0).unwrap();
+        assert_eq!(back.data(), [0.5, 0.0, 0.0, 13.1068, 0.0, 0.0, 0.0002, 0.0]);
+        assert!(encode(&map, 0.0).is_err());
     }
 
     #[test]
