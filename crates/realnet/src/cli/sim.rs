@@ -1,5 +1,6 @@
 //! `realnet sim`: the follower in the simulator, and data sets from it.
 
+mod dataset;
 mod json;
 mod report;
 mod table;
@@ -12,6 +13,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use json::RunResult;
 use realnet_io::atomic;
+use realnet_sim::dataset::DatasetSpec;
 use realnet_sim::scenario::Scenario;
 use realnet_sim::{RunFigures, RunLog};
 use report::PageOptions;
@@ -29,7 +31,8 @@ use video::RunVideo;
 Examples:
   realnet sim --list
   realnet sim --scenario hard-braking --seed 3 --report out/ --video out/hard-braking.mp4
-  realnet sim --all --seeds 20 --report out/")]
+  realnet sim --all --seeds 20 --report out/
+  realnet sim --dataset data/sim --frames 2000 --seed 1")]
 pub(crate) struct SimArgs {
     #[command(flatten)]
     what: WhatArgs,
@@ -54,6 +57,18 @@ pub(crate) struct SimArgs {
     /// JSON: an object a line for each run, or for each scenario of --list.
     #[arg(long)]
     json: bool,
+    /// Frames of a data set.
+    #[arg(long, value_name = "N", default_value_t = 1000, requires = "dataset",
+        value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    frames: u64,
+    /// Width of the pictures of a data set, pixels.
+    #[arg(long, value_name = "PIXELS", default_value_t = 640, requires = "dataset",
+        value_parser = clap::value_parser!(u32).range(16..=4096))]
+    width: u32,
+    /// Their height, pixels.
+    #[arg(long, value_name = "PIXELS", default_value_t = 360, requires = "dataset",
+        value_parser = clap::value_parser!(u32).range(16..=4096))]
+    height: u32,
 }
 
 #[derive(Debug, Args)]
@@ -68,11 +83,19 @@ struct WhatArgs {
     /// Run all scenarios.
     #[arg(long)]
     all: bool,
+    /// Write a data set of random worlds into this folder: pictures with boxes (YOLO),
+    /// with depth, cameras and poses (RGB-D). One that was interrupted is gone on with.
+    #[arg(long, value_name = "DIR")]
+    dataset: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
     if args.what.list {
         return list(args.json);
+    }
+    if let Some(folder) = &args.what.dataset {
+        let spec = DatasetSpec { seed: args.seed, width: args.width, height: args.height };
+        return dataset::write(folder, spec, args.frames, jobs(args), &command_line());
     }
     let scenarios = match &args.what.scenario {
         Some(name) => std::slice::from_ref(scenario(name)?),
@@ -118,6 +141,12 @@ pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
 
 const INDEX: &str = "index.html";
 
+/// How many threads work.
+fn jobs(args: &SimArgs) -> usize {
+    let processors = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    args.jobs.map_or(processors, NonZeroUsize::get)
+}
+
 fn list(json: bool) -> Result<Outcome> {
     let rows: Vec<ScenarioRow<'_>> = Scenario::list()
         .iter()
@@ -146,8 +175,7 @@ fn scenario(name: &str) -> Result<&'static Scenario> {
 /// Runs them all, several at a time; in the order they were asked for, without those
 /// that Ctrl-C forestalled.
 fn run_all(args: &SimArgs, wanted: &[(&Scenario, u64)]) -> Result<Vec<RunResult>> {
-    let processors = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let jobs = args.jobs.map_or(processors, NonZeroUsize::get).min(wanted.len());
+    let jobs = jobs(args).min(wanted.len());
     let bar = progress::bar(Some(wanted.len() as u64), "sim");
     let next = AtomicUsize::new(0);
     let done = Mutex::new(Vec::with_capacity(wanted.len()));
