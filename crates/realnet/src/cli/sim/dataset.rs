@@ -74,6 +74,7 @@ pub(super) fn write(
         say(format!("the same command goes on with {}", folder.display()));
         return Ok(Outcome::Interrupted);
     }
+    say(format!("{frames} frames are in {}", folder.display()));
     Ok(Outcome::Done)
 }
 
@@ -174,9 +175,9 @@ fn one_clip(
     let sequence = sequence(folder, clip);
     make_folder(&sequence.join("color"))?;
     make_folder(&sequence.join("depth"))?;
-    let mut poses = String::new();
-    let mut changed = false;
-    for index in clip * CLIP_FRAMES..end {
+    let first = clip * CLIP_FRAMES;
+    let (mut there, mut changed) = (first, false);
+    for index in first..end {
         let files = Files::of(folder, index);
         if !files.are_there() {
             if interrupt::interrupted() {
@@ -185,12 +186,15 @@ fn one_clip(
             write_sample(&files, &sampler.sample(index))?;
             changed = true;
         }
-        let pose = sampler_pose(sampler, index);
-        let _ = writeln!(poses, "{pose}");
+        there = index + 1;
         progress();
     }
     let lines = sequence.join("pose.txt");
     if changed || !lines.is_file() {
+        let mut poses = String::new();
+        for index in first..there {
+            let _ = writeln!(poses, "{}", pose_line(sampler, index));
+        }
         atomic::write(&lines, poses.as_bytes())?;
         let name = format!("clip-{clip:05}");
         let camera = CameraCalibration::new(name, sampler.camera(clip)).to_ros_yaml();
@@ -200,7 +204,7 @@ fn one_clip(
 }
 
 /// A line of `pose.txt`.
-fn sampler_pose(sampler: &mut Sampler, index: u64) -> String {
+fn pose_line(sampler: &mut Sampler, index: u64) -> String {
     let values = sampler.world_from_camera(index).to_tum();
     values.map(|value| format!("{value:.9}")).join(" ")
 }
