@@ -1,6 +1,7 @@
 //! Pictures against closed forms, and what optical flow makes of them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use proptest::prelude::*;
 use realnet_core::nalgebra::{Point3, UnitQuaternion, Vector3};
 use realnet_core::{BoundingBox, CameraModel, DepthMap, Distortion, Intrinsics, Pose, Pose2};
 use realnet_range::cues::ForegroundGate;
@@ -427,6 +428,68 @@ fn low_texture_is_low() {
         steps.map(|(a, b)| (f64::from(a[0]) - f64::from(b[0])).powi(2)).sum::<f64>()
     };
     assert!(contrast(TextureLevel::Low) < 0.1 * contrast(TextureLevel::Rich));
+}
+
+/// Where the lens model ends nothing is seen: black, and no depth.
+#[test]
+fn beyond_the_lens_nothing_is_seen() {
+    let lens = Distortion::PlumbBob([-0.55, 0.0, 0.0, 0.0, 0.0]);
+    let scene = empty(SceneKind::Room, 1);
+    let mut renderer = Renderer::new(camera(lens));
+    let actors = [Actor::new(VehicleKind::Truck, 1, standing(0.9, 0.3, 0.2))];
+    let out = picture(&mut renderer, &scene, &Shot { actors: &actors, ..Shot::default() });
+    let mut beyond = 0;
+    for v in 0..180u32 {
+        for u in 0..310u32 {
+            let seen = model(lens).unproject([f64::from(u), f64::from(v)]).is_ok();
+            let at = (v * 310 + u) as usize;
+            assert_eq!(out.depth.at(u, v).is_some(), seen, "({u}, {v})");
+            if !seen {
+                beyond += 1;
+                assert_eq!((&out.frame.data()[3 * at..3 * at + 3], out.mask[at]), (&[0; 3][..], 0));
+            }
+        }
+    }
+    assert!(beyond > 100, "{beyond}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Whatever stands wherever, in the camera too: depths are depths, boxes lie in the
+    /// picture and shares are shares.
+    #[test]
+    fn any_shot_is_a_picture(
+        places in prop::collection::vec((-3.0..3.0f64, -3.0..3.0f64, -7.0..7.0f64), 0..6),
+        own in (-2.0..2.0f64, -2.0..2.0f64, -7.0..7.0f64),
+        lean in prop::array::uniform2(-0.6..0.6f64),
+        (kind, seed, time_s) in (0..4usize, any::<u64>(), 0.0..1e4f64),
+    ) {
+        let kind = SceneKind::ALL[kind];
+        let scene = Scene::build(&SceneSpec { kind, moving: 2, ..SceneSpec::default() }, seed);
+        let intrinsics = Intrinsics { fx: 60.0, fy: 60.0, cx: 40.0, cy: 22.0 };
+        let model = CameraModel::new(80, 45, intrinsics, LENSES[1]).unwrap();
+        let mut renderer = Renderer::new(SimCamera::new(model));
+        let actors: Vec<Actor> = places
+            .iter()
+            .enumerate()
+            .map(|(i, &(x, y, h))| Actor::new(VehicleKind::ALL[i % 4], seed, standing(x, y, h)))
+            .collect();
+        let own = standing(own.0, own.1, own.2);
+        let shot = Shot { time_s, own, lean, actors: &actors, seed };
+        let out = picture(&mut renderer, &scene, &shot);
+        prop_assert!(out.depth.data().iter().all(|d| d.is_finite() && *d >= 0.0));
+        for index in 0..actors.len() {
+            let Some(truth) = out.truth(index) else { continue };
+            let b = truth.bbox;
+            prop_assert!(b.is_proper() && b == b.clipped(80.0, 45.0), "{truth:?}");
+            prop_assert!(truth.full_bbox.enclosing(&b) == truth.full_bbox, "{truth:?}");
+            for share in [truth.visible_share, truth.inside_share] {
+                prop_assert!(share > 0.0 && share <= 1.0, "{truth:?}");
+            }
+            prop_assert!(truth.depth_min_m > 0.0 && truth.depth_min_m <= truth.depth_median_m);
+        }
+    }
 }
 
 /// Every pixel of a closed room is covered: no gaps between faces.
