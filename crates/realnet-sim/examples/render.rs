@@ -9,8 +9,11 @@
 #![allow(missing_docs, clippy::print_stdout)]
 
 use image::{Rgb, RgbImage};
+use realnet_core::nalgebra::Vector3;
 use realnet_core::{CameraModel, Distortion, Intrinsics, Pose2};
-use realnet_sim::render::{Actor, MotionBlur, Rendered, Renderer, Sensor, Shot, SimCamera};
+use realnet_sim::render::{
+    Actor, MotionBlur, Rendered, Renderer, Sensor, Shot, SimCamera, base_from_mount,
+};
 use realnet_sim::scene::{Scene, SceneKind, SceneSpec};
 use realnet_sim::{VehicleKind, VehicleState};
 use std::error::Error;
@@ -41,6 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             save(&folder, &format!("{}-{seed}", kind.name()), &picture)?;
         }
     }
+    large(&folder)?;
     let scene = Scene::build(&SceneSpec::default(), 3);
     for kind in VehicleKind::ALL {
         for (name, x, heading) in
@@ -64,6 +68,32 @@ fn main() -> Result<(), Box<dyn Error>> {
     let shot = Shot { actors: &actors, ..Shot::default() };
     renderer.render(&Scene::build(&dark, 3), &shot, &mut picture);
     save(&folder, "dark", &picture)?;
+    Ok(())
+}
+
+/// Rooms at twice the size, two vehicles close by.
+fn large(folder: &Path) -> Result<(), Box<dyn Error>> {
+    let intrinsics = Intrinsics { fx: 900.0, fy: 900.0, cx: 639.5, cy: 359.5 };
+    let lens = Distortion::PlumbBob([-0.08, 0.01, 0.0, 0.0, 0.0]);
+    let mut camera = SimCamera::new(CameraModel::new(1280, 720, intrinsics, lens)?);
+    camera.base_from_camera = base_from_mount(Vector3::new(0.3, 0.0, 0.26), 0.0, 0.10, 0.0);
+    let mut renderer = Renderer::new(camera);
+    let mut picture = renderer.blank();
+    for (kind, seed) in
+        [(SceneKind::Room, 1), (SceneKind::Room, 12), (SceneKind::Hall, 2), (SceneKind::Track, 1)]
+    {
+        let keep_free = vec![[0.0, 0.0], [1.5, 0.1], [3.0, 0.4]];
+        let spec = SceneSpec { kind, keep_free, clutter: 16, moving: 2, ..SceneSpec::default() };
+        let scene = Scene::build(&spec, seed);
+        let actors = [
+            Actor::new(VehicleKind::TouringCar, 0, at(1.45, 0.10, 0.30, true)),
+            Actor::new(VehicleKind::Truck, 3, at(2.35, -0.42, -0.35, false)),
+        ];
+        renderer.reset_exposure();
+        let shot = Shot { actors: &actors, time_s: 1.0, seed, ..Shot::default() };
+        renderer.render(&scene, &shot, &mut picture);
+        save(folder, &format!("large-{}-{seed}", kind.name()), &picture)?;
+    }
     Ok(())
 }
 

@@ -246,7 +246,7 @@ impl Builder<'_> {
         let floor = match (self.rng.random::<f64>() * 4.0) as u32 {
             0 => Skin::new(Texture::Carpet, srgb(0x2a2c38), srgb(0xb0a898), 280.0),
             1 => Skin::new(Texture::Tiles, srgb(0x5a554c), srgb(0xe6e0d2), 320.0),
-            2 => Skin::new(Texture::Planks, srgb(0x4a2e16), srgb(0xcf9c60), 330.0),
+            2 => Skin::new(Texture::Planks, srgb(0x4a2e16), srgb(0xcf9c60), 420.0),
             _ => Skin::new(Texture::Carpet, srgb(0x4a2018), srgb(0xc08a60), 240.0),
         };
         self.floor(&bounds, floor);
@@ -274,9 +274,9 @@ impl Builder<'_> {
         let bounds = self.around([16.0, 12.0], 2.5);
         self.ceiling = self.between(4.5, 6.5);
         let floor = match (self.rng.random::<f64>() * 3.0) as u32 {
-            0 => Skin::new(Texture::Concrete, srgb(0x50524e), srgb(0xc4c2b8), 160.0),
-            1 => Skin::new(Texture::Asphalt, srgb(0x30343a), srgb(0xa8aaa8), 220.0),
-            _ => Skin::new(Texture::Tiles, srgb(0x54585c), srgb(0xc8ccd0), 160.0),
+            0 => Skin::new(Texture::Concrete, srgb(0x50524e), srgb(0xc4c2b8), 256.0),
+            1 => Skin::new(Texture::Asphalt, srgb(0x30343a), srgb(0xa8aaa8), 300.0),
+            _ => Skin::new(Texture::Tiles, srgb(0x54585c), srgb(0xc8ccd0), 256.0),
         };
         self.floor(&bounds, floor);
         let brick = Skin::new(Texture::Brick, srgb(0x70351f), srgb(0xd0c4b4), 170.0);
@@ -301,7 +301,7 @@ impl Builder<'_> {
         let floor = match (self.rng.random::<f64>() * 3.0) as u32 {
             0 => Skin::new(Texture::Tiles, srgb(0x46423c), srgb(0xd8d0c0), 380.0),
             1 => Skin::new(Texture::Carpet, srgb(0x1c2c4a), srgb(0x90a0b8), 260.0),
-            _ => Skin::new(Texture::Concrete, srgb(0x585c50), srgb(0xc0c4b0), 240.0),
+            _ => Skin::new(Texture::Concrete, srgb(0x585c50), srgb(0xc0c4b0), 320.0),
         };
         self.floor(&bounds, floor);
         let wall = Skin::new(Texture::Concrete, srgb(0x98988a), srgb(0xf0efe4), 140.0);
