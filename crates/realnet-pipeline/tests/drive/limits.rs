@@ -58,9 +58,8 @@ impl Limits {
 
     fn rates(&self, last: Option<DriveCommand>, sent: &DriveCommand) -> Result<(), &'static str> {
         let vehicle = &self.vehicle;
-        let Some(last) = last else {
-            return if sent.speed == 0.0 { Ok(()) } else { Err("drives at the first command") };
-        };
+        // It stands before the first one, wheels straight.
+        let last = last.unwrap_or(DriveCommand { stamp: sent.stamp, ..DriveCommand::default() });
         let real = sent.stamp.seconds_since(last.stamp).max(0.0);
         let seconds = real.min(Limiter::LONGEST_STEP_S);
         let slack = 1e-9;
