@@ -19,8 +19,11 @@ use thiserror::Error;
 
 /// How far back the target's path is given to the controller, seconds.
 const TRAIL_S: f64 = 6.0;
-/// Share of the difference between seen and promised speed that is believed in a frame.
-const SPEED_GAIN: f64 = 0.1;
+/// Share of the difference between seen and promised speed that is believed in a frame:
+/// two thirds of a second at 30 frames a second, two depth maps.
+const SPEED_GAIN: f64 = 0.05;
+/// Above this speed a target looks the way it drives, m/s.
+const HEADING_SPEED: f64 = 0.2;
 /// Share of a whole box in what is known about their shape.
 const ASPECT_GAIN: f32 = 0.1;
 /// How well the height of the target's box is known, in its logarithm: it shows other
@@ -89,6 +92,8 @@ pub struct FrameReport {
     pub fast_m: Option<f64>,
     /// By the target's foot on the ground.
     pub ground_m: Option<f64>,
+    /// Pitch of the camera against the ground, radians, positive: nose down.
+    pub pitch_rad: f64,
     /// Fused, with its standard deviation, metres along the optical axis.
     pub fused_m: Option<(f64, f64)>,
     /// Tracked, coasting, lost.
@@ -107,8 +112,8 @@ pub struct Follower {
     fusion: TargetFilter,
     controller: Controller,
     network: Option<SeenRange>,
-    /// Factor on lengths by the depth map that motions start from.
-    map_scale: f64,
+    /// Which way the target drives, radians in the fixed frame, once it drove.
+    heading: Option<f64>,
     /// Width of the target's box over its height, of the last boxes that were whole.
     aspect: Option<f32>,
     /// Height of the target's box times its range, pixels x metres: to know it again.
@@ -134,7 +139,7 @@ impl Follower {
             fusion: TargetFilter::new(options.fusion)?,
             controller: Controller::new(options.control)?,
             network: None,
-            map_scale: 1.0,
+            heading: None,
             aspect: None,
             height: None,
             trail: Vec::with_capacity(options.fusion.trail_capacity + options.fusion.capacity),
@@ -146,12 +151,6 @@ impl Follower {
     #[must_use]
     pub const fn options(&self) -> &FollowerOptions {
         &self.options
-    }
-
-    /// Pitch of the camera against the ground, radians, positive: nose down.
-    #[must_use]
-    pub fn pitch(&self) -> realnet_range::cues::Uncertain {
-        self.ranging.pitch_rad()
     }
 
     /// The newest range by a depth map alone.
@@ -181,16 +180,21 @@ impl Follower {
         let predictor = self.controller.predictor();
         let promised = (predictor.speed_at(stamp), predictor.yaw_rate_at(stamp));
         let motion = self.ranging.frame(frame)?;
-        let step = self.odometry.step(stamp, motion, self.map_scale, promised);
-        if step.seen {
-            let mixed = |seen: f64, promised: f64| promised + SPEED_GAIN * (seen - promised);
-            let speed = mixed(step.speed, promised.0);
-            let yaw_rate = mixed(step.yaw_rate, promised.1);
-            self.controller.predictor_mut().correct(stamp, Some(speed), Some(yaw_rate));
-        }
+        let seen = self.odometry.seen(stamp, motion);
+        let step = match seen {
+            // Turns are seen exactly, but lengths have the scale error of the depth map in
+            // them: averaged over several maps, they correct what the commands promise.
+            Some((speed, yaw_rate)) => {
+                let speed = promised.0 + SPEED_GAIN * (speed - promised.0);
+                self.controller.predictor_mut().correct(stamp, Some(speed), Some(yaw_rate));
+                (speed, yaw_rate)
+            }
+            None => promised,
+        };
+        self.odometry.step(stamp, step);
         let target = self.sight.frame(self.ranging.picture());
         let fast = self.ranging.fast(target.as_ref());
-        let ground = target.and_then(|at| self.ranging.ground(&at));
+        let ground = target.and_then(|at| self.ranging.ground(&at, self.aside(&at)));
         if let Some(at) = target {
             self.measure_direction(&at, DirectionSource::Flow);
         }
@@ -214,6 +218,11 @@ impl Follower {
         let track = self.fusion.track_at(stamp).ok();
         let camera = fixed_from_base * self.options.mount.base_from_camera();
         let range = track.and_then(|track| track.range_from(&camera));
+        if let Some(motion) = track.and_then(|track| track.motion)
+            && motion.velocity.norm() > HEADING_SPEED
+        {
+            self.heading = Some(motion.velocity.y.atan2(motion.velocity.x));
+        }
         let by_forward = self.ranging.depth_of_forward(target.as_ref());
         let fused_m = range.map(|r| (r.depth_m * by_forward, r.std_m * by_forward));
         if let (Some((range, _)), Some(at)) = (fused_m, target)
@@ -226,6 +235,7 @@ impl Follower {
             network_m: self.network.map(|seen| seen.depth_m),
             fast_m: fast.map(|seen| seen.depth_m),
             ground_m: ground.map(|seen| seen.depth_m),
+            pitch_rad: self.ranging.pitch_rad().value,
             fused_m,
             status: track.map_or(TrackStatus::Searching, |track| track.status),
             fixed_from_base,
@@ -284,21 +294,8 @@ impl Follower {
                 self.network = Some(seen);
             }
             self.measure_range(&seen, RangeSource::Network { map: stamp });
-            if kept.is_ok() {
-                self.map_scale = self.scale_of(&seen).unwrap_or(1.0);
-            }
-        } else if kept.is_ok() {
-            self.map_scale = 1.0;
         }
         kept
-    }
-
-    /// What a map's depths are to be multiplied by, as far as the target tells.
-    fn scale_of(&mut self, seen: &SeenRange) -> Option<f64> {
-        let fixed_from_base = self.odometry.pose_at(seen.stamp)?;
-        let camera = fixed_from_base * self.options.mount.base_from_camera();
-        let range = self.fusion.track_at(seen.stamp).ok()?.range_from(&camera)?;
-        Some((range.depth_m / seen.forward_m).clamp(0.5, 2.0))
     }
 
     /// The command for now.
@@ -339,6 +336,19 @@ impl Follower {
             Err(_) => TargetState { stamp: when, ..TargetState::default() },
         };
         (state, fixed_from_base)
+    }
+
+    /// How far the target is turned away from the line of sight, radians: 0 when it is
+    /// seen from behind.
+    fn aside(&self, at: &TargetBox) -> f64 {
+        let sight = self.odometry.pose_at(at.stamp).map(|pose| {
+            let tangent = self.ranging.direction(at).map_or(0.0, |(tangent, _)| tangent);
+            pose.heading + tangent.atan()
+        });
+        match (sight, self.heading) {
+            (Some(sight), Some(heading)) => heading - sight,
+            _ => 0.0,
+        }
     }
 
     fn measure_range(&mut self, seen: &SeenRange, source: RangeSource) {

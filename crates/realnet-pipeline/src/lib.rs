@@ -6,6 +6,6 @@ mod ranging;
 mod sight;
 
 pub use follower::{Follower, FollowerError, FollowerOptions, FrameReport};
-pub use odometry::{CameraMount, OwnOdometry, OwnStep};
+pub use odometry::{CameraMount, OwnOdometry};
 pub use ranging::{Ranging, RangingError, RangingOptions, SeenRange};
 pub use sight::{Sight, SightOptions, TargetBox};

@@ -44,17 +44,6 @@ impl CameraMount {
     }
 }
 
-/// A step from one frame to the next.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OwnStep {
-    /// Mean speed along the base frame's x axis, m/s.
-    pub speed: f64,
-    /// Mean rate of turn, rad/s, positive to the left.
-    pub yaw_rate: f64,
-    /// Whether it was seen in the picture, or else is what the commands promise.
-    pub seen: bool,
-}
-
 /// The robot's own place in a plane that stands still, from the motion of the
 /// background, or from its commands while that is unknown. It drifts, slowly: what
 /// it is for is the seconds between two measurements of the target.
@@ -85,46 +74,32 @@ impl OwnOdometry {
         }
     }
 
-    /// Takes the next frame's motion, whose lengths are to be multiplied by `scale`;
-    /// `promised` is the speed and rate of turn that
-    /// the commands promise for the time since the last frame.
-    pub fn step(
-        &mut self,
-        stamp: Stamp,
-        motion: &Motion,
-        scale: f64,
-        promised: (f64, f64),
-    ) -> OwnStep {
-        let then_from_now = motion.then_from_now();
-        let Some((last_stamp, last)) = self.last else {
-            self.remember(stamp, Pose2::IDENTITY);
-            self.then = then_from_now.map(|now| (motion.then, now));
-            return OwnStep { speed: promised.0, yaw_rate: promised.1, seen: false };
-        };
-        let seconds = stamp.seconds_since(last_stamp);
+    /// The robot's mean speed (m/s, along the base frame's x axis) and rate of turn (rad/s,
+    /// positive to the left) since the last frame, as the background shows them; `None` if
+    /// it does not, or shows what no robot does. The speed has the depth map's scale error
+    /// in it.
+    pub fn seen(&mut self, stamp: Stamp, motion: &Motion) -> Option<(f64, f64)> {
+        let now = motion.then_from_now();
+        let before = std::mem::replace(&mut self.then, now.map(|now| (motion.then, now)));
+        let seconds = stamp.seconds_since(self.last?.0);
         // Both frames must have been seen from the same depth map: only then do its
         // errors cancel.
-        let seen = match (then_from_now, self.then) {
-            (Some(now), Some((then, before))) if then == motion.then && seconds > 0.0 => {
-                self.seen_step(&(before.inverse() * now), scale, seconds)
-            }
-            _ => None,
-        };
-        self.then = then_from_now.map(|now| (motion.then, now));
-        let (speed, yaw_rate) = promised;
-        let step = seen.unwrap_or(OwnStep { speed, yaw_rate, seen: false });
-        let pose = last.driven(step.speed, step.yaw_rate, seconds.max(0.0));
-        self.remember(stamp, pose);
-        step
-    }
-
-    fn seen_step(&self, before_from_now: &Pose, scale: f64, seconds: f64) -> Option<OwnStep> {
-        let step = Pose::new(before_from_now.rotation(), before_from_now.translation() * scale);
-        let moved = self.base_from_optical * step * self.base_from_optical.inverse();
+        let (_, before) = before.filter(|(then, _)| *then == motion.then && seconds > 0.0)?;
+        let moved =
+            self.base_from_optical * before.inverse() * now? * self.base_from_optical.inverse();
         let twist = moved.log() / seconds;
         let (speed, yaw_rate) = (twist[0], twist[5]);
         let believed = speed.abs() <= self.max_speed && yaw_rate.is_finite();
-        believed.then_some(OwnStep { speed, yaw_rate, seen: true })
+        believed.then_some((speed, yaw_rate))
+    }
+
+    /// Goes on to the next frame at a mean speed and rate of turn.
+    pub fn step(&mut self, stamp: Stamp, (speed, yaw_rate): (f64, f64)) {
+        let pose = match self.last {
+            Some((last, pose)) => pose.driven(speed, yaw_rate, stamp.seconds_since(last).max(0.0)),
+            None => Pose2::IDENTITY,
+        };
+        self.remember(stamp, pose);
     }
 
     fn remember(&mut self, stamp: Stamp, pose: Pose2) {

@@ -2,7 +2,7 @@
 
 use crate::odometry::CameraMount;
 use crate::sight::TargetBox;
-use realnet_core::nalgebra::{Point3, Vector6};
+use realnet_core::nalgebra::{Point3, UnitQuaternion, Vector6};
 use realnet_core::{BoundingBox, CameraModel, DepthMap, Frame, Stamp};
 use realnet_range::cues::{
     BoxDepth, DepthInBox, DepthInBoxError, DepthInBoxOptions, DepthNoise, GroundFit,
@@ -17,6 +17,8 @@ use thiserror::Error;
 const HEAVE_STD_M: f64 = 0.002;
 /// Own noise of a depth in the box, as a share: what is left of the pixels' noise.
 const MAP_STD: f64 = 0.005;
+/// A rotation about the lateral axis from one frame to the next that is a knock, radians.
+const KNOCK_RAD: f64 = 0.015;
 /// How far a depth map's patches tilt what is measured in it, radians.
 const MAP_BEND_RAD: f64 = 0.04;
 /// A box must not reach within this of the picture's edge for its height to be known.
@@ -38,6 +40,9 @@ pub struct RangingOptions {
     /// How far behind the target's seen surface its foot stands, metres: the overhang of
     /// a car over its rear wheels.
     pub foot_behind_m: f64,
+    /// Half the way between its left and right foot, metres: of a target that is turned
+    /// aside one stands nearer than the other.
+    pub foot_aside_m: f64,
 }
 
 impl Default for RangingOptions {
@@ -48,7 +53,8 @@ impl Default for RangingOptions {
             map_std: 0.1,
             pitch_std_rad: 0.01,
             ground_range: true,
-            foot_behind_m: 0.05,
+            foot_behind_m: 0.06,
+            foot_aside_m: 0.08,
         }
     }
 }
@@ -295,9 +301,10 @@ impl Ranging {
         Some((self.seen(motion.now, point, share), key.stamp))
     }
 
-    /// The range of the target's foot on the ground.
+    /// The range by the target's foot on the ground: where a target is that is turned
+    /// `aside` radians from the line of sight.
     #[must_use]
-    pub fn ground(&self, at: &TargetBox) -> Option<SeenRange> {
+    pub fn ground(&self, at: &TargetBox, aside: f64) -> Option<SeenRange> {
         if !self.options.ground_range {
             return None;
         }
@@ -308,9 +315,12 @@ impl Ranging {
             ..GroundRange::new(height, Uncertain::exact(pitch.value))
         };
         let found = cue.measure(&self.camera, at.bbox).ok()?;
-        // The way from the foot to the surface is one along the ground.
-        let surface = found.foot.coords * (1.0 - self.options.foot_behind_m / found.depth_m);
-        let share = found.std_m / found.depth_m;
+        // The rear bumper from the wheel that is nearest; the way there is one along the
+        // ground. Seen from ahead the front bumper overhangs alike.
+        let behind = self.options.foot_behind_m * aside.cos().abs();
+        let nearer = self.options.foot_aside_m * aside.sin().abs();
+        let surface = found.foot.coords * (1.0 - (behind - nearer) / found.depth_m);
+        let share = found.std_m.hypot(0.3 * nearer) / found.depth_m;
         (surface.z > 0.0).then(|| self.seen(at.stamp, Point3::from(surface), share))
     }
 
@@ -404,26 +414,33 @@ fn depth_std(body: &BodyMotion, point: &Point3<f64>) -> f64 {
     (body.estimate.covariance * row).dot(&row).max(0.0).sqrt()
 }
 
-/// Carries the pitch over the rotation from the last frame to this one.
+/// Follows knocks: a vehicle on the ground does not pitch by itself, so small rotations
+/// about the lateral axis are noise of the flow, and only a large one moves the camera
+/// against the ground.
 fn nod(
     pitch: &mut PitchFilter,
     before: &mut Option<(Stamp, Stamp, realnet_core::Pose)>,
     motion: &Motion,
 ) {
-    let now = motion.background.as_ref().ok();
-    // A number out of range leaves the filter as it was.
-    if let Some(body) = now {
-        let pose = body.now_from_then();
-        if let Some((then, stamp, last)) = *before
-            && then == motion.then
-        {
-            let step = pose * last.inverse();
-            let seconds = motion.now.seconds_since(stamp).max(0.0);
-            let std = body.estimate.rotation_std() * std::f64::consts::SQRT_2;
-            let _ = pitch.predict(&step.rotation(), std, seconds);
-        }
-        *before = Some((motion.then, motion.now, pose));
-    } else {
+    let Some(body) = motion.background.as_ref().ok() else {
         *before = None;
+        return;
+    };
+    let pose = body.now_from_then();
+    if let Some((then, stamp, last)) = *before
+        && then == motion.then
+    {
+        let step = (pose * last.inverse()).rotation();
+        let seconds = motion.now.seconds_since(stamp).max(0.0);
+        let sure = 2 * body.estimate.inliers > body.corners;
+        let knocked = sure && step.scaled_axis().x.abs() > KNOCK_RAD;
+        let (turn, std) = if knocked {
+            (step, body.estimate.rotation_std() * std::f64::consts::SQRT_2)
+        } else {
+            (UnitQuaternion::identity(), 0.0)
+        };
+        // Numbers out of range leave the filter as it was.
+        let _ = pitch.predict(&turn, std, seconds);
     }
+    *before = Some((motion.then, motion.now, pose));
 }

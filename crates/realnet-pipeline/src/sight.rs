@@ -22,6 +22,11 @@ pub struct SightOptions {
     pub min_iou: f32,
     /// Detections below this confidence are not regarded.
     pub min_confidence: f32,
+    /// A target is taken up when it was found so many times in a row: networks see
+    /// phantoms.
+    pub hits: u32,
+    /// Hits are in a row when no more than this lies between them, seconds.
+    pub hits_within_s: f64,
     /// For so long a box is carried without any word from the detector, seconds.
     pub carry_for_s: f64,
     /// For so long it is carried although the detector looked and did not find it,
@@ -37,6 +42,8 @@ impl Default for SightOptions {
             edge_std_px: 1.0,
             min_iou: 0.3,
             min_confidence: 0.25,
+            hits: 3,
+            hits_within_s: 0.25,
             carry_for_s: 3.0,
             unsupported_for_s: 0.25,
         }
@@ -93,6 +100,8 @@ pub struct Sight {
     now: Option<Stamp>,
     /// Since when the detector looks and does not find the box.
     unsupported_since: Option<Stamp>,
+    /// What was found but is not yet believed.
+    candidate: Option<(TargetBox, u32)>,
     last_error: Option<CarryError>,
 }
 
@@ -112,6 +121,7 @@ impl Sight {
             anchor: None,
             now: None,
             unsupported_since: None,
+            candidate: None,
             last_error: None,
         })
     }
@@ -203,9 +213,10 @@ impl Sight {
             return None; // older than what is known
         }
         let at = self.box_at(stamp);
+        let least = self.options.min_confidence;
         let wanted = detections
             .iter()
-            .filter(|d| d.confidence >= self.options.min_confidence && d.bbox.is_proper())
+            .filter(|d| d.confidence >= least && d.bbox.is_proper())
             .filter(|d| allowed(d));
         let overlap = at.and_then(|at| {
             let by_overlap = |d: &&Detection| f64::from(d.bbox.iou(&at.bbox));
@@ -213,12 +224,14 @@ impl Sight {
                 .filter(|d| d.bbox.iou(&at.bbox) >= self.options.min_iou)
         });
         // While flow holds the box, what lies elsewhere is another one.
+        let held = at.is_some() && self.anchor.is_some();
         let chosen = overlap.or_else(|| {
-            if at.is_some() && self.anchor.is_some() {
+            if held {
                 return None;
             }
             let rated = wanted.filter(|d| plausible(d).is_some());
-            best(rated, |d| plausible(d).unwrap_or(f64::NEG_INFINITY))
+            let found = best(rated, |d| plausible(d).unwrap_or(f64::NEG_INFINITY))?;
+            self.believe(stamp, found).then_some(found)
         });
         let Some(chosen) = chosen else {
             let since = *self.unsupported_since.get_or_insert(stamp);
@@ -244,6 +257,24 @@ impl Sight {
         }
         self.remember(found);
         Some(found)
+    }
+
+    /// Counts how often a new target was found in a row, and says whether that is often
+    /// enough.
+    fn believe(&mut self, stamp: Stamp, found: &Detection) -> bool {
+        let at = TargetBox::of_detection(stamp, found.bbox, &self.options);
+        let hits = match self.candidate {
+            Some((last, hits))
+                if stamp.seconds_since(last.stamp) <= self.options.hits_within_s
+                    && last.bbox.iou(&found.bbox) >= self.options.min_iou =>
+            {
+                hits + 1
+            }
+            _ => 1,
+        };
+        let enough = hits >= self.options.hits;
+        self.candidate = (!enough).then_some((at, hits));
+        enough
     }
 
     /// The target's box on a frame, as far as it was seen or carried there.

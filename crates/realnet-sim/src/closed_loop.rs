@@ -203,14 +203,16 @@ impl<'a> World<'a> {
                     id,
                     class_id: VEHICLE_CLASS,
                     bbox: truth.bbox,
-                    visible_share: truth.visible_share,
+                    visible_share: truth.visible_share * truth.inside_share,
                     blur_px,
                 });
             }
         }
         let frame = &self.picture.frame;
         let size = (frame.width(), frame.height());
-        self.detector.show(exposed, size, brightness(frame), &self.objects);
+        // Bytes are a square root of light; the gain amplifies the noise as well.
+        let light = brightness(frame).powi(2) / self.picture.gain().max(1e-9);
+        self.detector.show(exposed, size, light, &self.objects);
         self.kept = self.network.show(&self.picture.depth)?;
         Ok(())
     }
@@ -287,6 +289,8 @@ impl<'a> World<'a> {
             range_true_m,
             range_network_m: report.and_then(|report| report.network_m),
             range_fast_m: report.and_then(|report| report.fast_m),
+            range_ground_m: report.and_then(|report| report.ground_m),
+            pitch_rad: self.last.map_or(0.0, |report| report.pitch_rad),
             range_fused_m: fused.map(|(range, _)| range),
             range_fused_std_m: fused.map(|(_, std)| std),
             status,

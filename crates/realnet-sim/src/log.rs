@@ -47,6 +47,11 @@ pub struct FrameLog {
     pub range_network_m: Option<f64>,
     /// Range by the fast path alone: the newest map that arrived, moved by flow.
     pub range_fast_m: Option<f64>,
+    /// Range by the target's foot on the ground.
+    pub range_ground_m: Option<f64>,
+    /// Pitch of the camera against the ground as the follower reckons it, radians,
+    /// positive: nose down.
+    pub pitch_rad: f64,
     /// Fused range at this frame's stamp.
     pub range_fused_m: Option<f64>,
     /// Its standard deviation.
