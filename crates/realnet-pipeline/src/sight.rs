@@ -209,8 +209,9 @@ impl Sight {
         allowed: impl Fn(&Detection) -> bool,
         plausible: impl Fn(&Detection) -> Option<f64>,
     ) -> Option<TargetBox> {
-        if self.anchor.is_some_and(|anchor| anchor.at.detected >= stamp) {
-            return None; // older than what is known
+        let known = self.box_at(stamp).is_some() || find(&self.frames, stamp).is_some();
+        if !known || self.anchor.is_some_and(|anchor| anchor.at.detected >= stamp) {
+            return None; // of no frame that is remembered, or older than what is known
         }
         let at = self.box_at(stamp);
         let least = self.options.min_confidence;

@@ -20,6 +20,8 @@ use thiserror::Error;
 /// Class that the detector calls all vehicles.
 pub const VEHICLE_CLASS: u32 = 0;
 
+/// Exposures from this on are drawn with their blur, seconds.
+const BLURRING_S: f64 = 0.012;
 /// What the target's pixels have in the mask: it is the first actor.
 const TARGET_MASK: u8 = 1;
 /// A target is visible when at least so much of its silhouette in the picture is not
@@ -385,7 +387,9 @@ fn camera(setup: &Setup) -> SimCamera {
         base_from_camera: mount(setup, 0.0),
         sensor: Sensor {
             read_noise: camera.noise / 255.0 * 0.2,
-            blur: Some(MotionBlur { shutter_s: camera.exposure_s, max_samples: 9 }),
+            // A short exposure blurs by a pixel or two, and costs three pictures.
+            blur: (camera.exposure_s >= BLURRING_S)
+                .then_some(MotionBlur { shutter_s: camera.exposure_s, max_samples: 9 }),
             exposure: Exposure::Auto { lag_s: 0.25, target: 0.22, max_gain: 12.0 },
             ..sensor
         },

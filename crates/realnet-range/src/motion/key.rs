@@ -103,6 +103,9 @@ impl KeyFinder {
     }
 }
 
+/// Depths that a camera can see, metres; what networks say beyond is no depth.
+const PLAUSIBLE_M: std::ops::Range<f32> = 0.01..1e4;
+
 /// Mean depth of the 3 x 3 pixels around `place`, if they lie on one surface: if
 /// their depths are within the share `max_step` of each other.
 fn depth_at(depth: &DepthMap, [x, y]: [f32; 2], max_step: f32) -> Option<f32> {
@@ -124,7 +127,8 @@ fn depth_at(depth: &DepthMap, [x, y]: [f32; 2], max_step: f32) -> Option<f32> {
         }
     }
     let even = far <= near * (1.0 + max_step);
-    (count >= LEAST_KNOWN && even).then(|| sum / count as f32)
+    let mean = (count >= LEAST_KNOWN && even).then(|| sum / count as f32);
+    mean.filter(|z| PLAUSIBLE_M.contains(z))
 }
 
 /// The place of a pixel of the picture in the depth map, both from the centre of

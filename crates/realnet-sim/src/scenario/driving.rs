@@ -189,7 +189,11 @@ pub(super) fn leaves_view(draft: &mut Draft) {
     let start = starting(speed);
     let rest = (until_back - start.way(start.changes_until())) / speed;
     draft.target(VehicleKind::Buggy, route, start.hold(rest).change(slower, 0.7));
-    draft.setup.expectations.min_way_m = 1.0;
+    let expect = &mut draft.setup.expectations;
+    expect.min_way_m = 1.0;
+    // It crosses the picture and is gone again: a car cannot turn on the spot after it.
+    expect.tracks_at_end = false;
+    expect.regains_for_s = Some(0.5);
 }
 
 pub(super) fn robot(draft: &mut Draft) {

@@ -59,6 +59,8 @@ pub struct Expectations {
     pub max_final_gap_error_m: Option<f64>,
     /// The target is tracked in the last frame.
     pub tracks_at_end: bool,
+    /// The target is tracked again for this long, s, after it was not for as long.
+    pub regains_for_s: Option<f64>,
     /// Least way that the follower drives, metres: it must not pass by standing.
     pub min_way_m: f64,
     /// Greatest way that the follower drives, metres.
@@ -109,12 +111,34 @@ impl Expectations {
             .sum();
         bound("way in m", Some(way), Some(self.min_way_m), false);
         bound("way in m", Some(way), self.max_way_m, true);
+        if let Some(seconds) = self.regains_for_s
+            && !regains(log, seconds)
+        {
+            failures.push(format!(
+                "the target is not tracked for {seconds:.1} s after it was lost for as long"
+            ));
+        }
         if self.tracks_at_end && last.status != TrackStatus::Tracking {
             failures.push(format!("the target is {} at the end, not tracked", last.status));
         }
         failures.extend(self.stops.iter().filter_map(|rule| rule.check(log)));
         failures
     }
+}
+
+/// Whether the target, once tracked, is not tracked for a time, and then is for as long.
+fn regains(log: &RunLog, seconds: f64) -> bool {
+    let runs = log.frames.chunk_by(|a, b| {
+        (a.status == TrackStatus::Tracking) == (b.status == TrackStatus::Tracking)
+    });
+    let long = runs.filter_map(|run| {
+        let (first, last) = (run.first()?, run.last()?);
+        let long = last.time_s - first.time_s >= seconds;
+        long.then_some(first.status == TrackStatus::Tracking)
+    });
+    // tracked, not tracked, tracked
+    let mut stages = long.skip_while(|tracked| !tracked);
+    stages.any(|tracked| !tracked) && stages.any(|tracked| tracked)
 }
 
 fn not_finite(log: &RunLog) -> Option<String> {
