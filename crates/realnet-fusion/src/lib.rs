@@ -112,10 +112,16 @@
 //!   tangent of the direction and the motion relative to the camera over the range, where
 //!   it does not turn, and the covariance goes along with the estimate;
 //! * the motion of a target of known agility, seen from a robot of known motion, tells of
-//!   its distance; but a follower's motion is an answer to the target's, so this is no
-//!   independent view, and in minutes of following the range would drift away. So only the
-//!   first ranges of a map tell of errors, and the others of the motion alone (Schmidt's
-//!   consider filter, [`Gaussian::update_only`]).
+//!   its distance; but a follower's motion is an answer to the target's, and its odometry
+//!   may take its unit of length from the same depth maps, so this is no independent view,
+//!   and the range would drift away. So the scale error is carried on in proportion to what
+//!   is relative to the camera, wherever the camera goes: its motion tells nothing of the
+//!   distance (an observability-constrained filter). And only the first ranges of a map
+//!   tell of errors, the others of the motion alone (Schmidt's consider filter,
+//!   [`Gaussian::update_only`]).
+//!
+//! What is expected of a shared error never loses its hold: all of them are stationary, so
+//! that a range that goes up and down for long still is between what the sources say.
 //!
 //! ```
 //! use realnet_core::{Pose2, Stamp, TrackStatus};

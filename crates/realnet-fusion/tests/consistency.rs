@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Setup, log};
+use common::{Setup, Truth, log};
 use realnet_core::{Stamp, TrackStatus};
 use realnet_fusion::{
     RangeSource, Reading, SharedError, TargetFilter, TargetMeasurement, TargetOptions,
@@ -41,11 +41,20 @@ struct Run {
     /// Counted from this time on, and at this time after the frame.
     from_s: f64,
     ahead_s: f64,
+    /// The own odometry takes its unit of length from the fused range.
+    fed_back: bool,
 }
 
 impl Run {
     fn new(setup: Setup) -> Self {
-        Self { setup, options: TargetOptions::default(), seeds: 0..40, from_s: 1.0, ahead_s: 0.0 }
+        Self {
+            setup,
+            options: TargetOptions::default(),
+            seeds: 0..40,
+            from_s: 1.0,
+            ahead_s: 0.0,
+            fed_back: false,
+        }
     }
 
     /// Asked at each frame with what has arrived by then.
@@ -53,14 +62,23 @@ impl Run {
         let mut score = Score::default();
         let ahead = (self.ahead_s * self.setup.fps).round() as usize;
         for seed in self.seeds.clone() {
-            let log = log(seed, &self.setup);
+            let mut log = log(seed, &self.setup);
             let mut filter = TargetFilter::new(self.options).unwrap();
             let mut next = log.arriving.iter().peekable();
             let mut held: Option<f64> = None;
             let mut last: Option<(f64, f64)> = None;
-            for (now, truth) in log.truth.iter().zip(log.truth.iter().skip(ahead)) {
+            for index in 0..log.truth.len() - ahead {
+                if self.fed_back {
+                    feed_back(&mut log.truth, index, &mut filter);
+                }
+                let (now, truth) = (log.truth[index], log.truth[index + ahead]);
                 while let Some(arriving) = next.next_if(|a| a.arrival <= now.stamp) {
-                    filter.push(arriving.measurement).unwrap();
+                    let mut measurement = arriving.measurement;
+                    if self.fed_back {
+                        let at = log.truth.partition_point(|t| t.stamp < measurement.stamp);
+                        measurement.fixed_from_camera = log.truth[at].believed;
+                    }
+                    filter.push(measurement).unwrap();
                     held = network_range(&arriving.measurement).or(held);
                 }
                 let Some(network) = held.filter(|_| now.stamp.secs_f64() >= self.from_s) else {
@@ -69,7 +87,7 @@ impl Run {
                 let track = filter.track_at(truth.stamp).unwrap();
                 let known = matches!(track.status, TrackStatus::Tracking | TrackStatus::Coasting);
                 assert!(known, "seed {seed} at {}: {}", now.stamp, track.status);
-                let range = track.range_from(&truth.camera).unwrap();
+                let range = track.range_from(&truth.believed).unwrap();
                 let depth = truth.seen().0;
                 let (error, network) = (range.depth_m - depth, network - depth);
                 score.frames += 1;
@@ -89,6 +107,17 @@ impl Run {
         println!("{:?}\n{score:?} inside {:.3}", self.setup, score.share());
         score
     }
+}
+
+/// The step to a frame, as long as the fused range makes it.
+fn feed_back(truth: &mut [Truth], index: usize, filter: &mut TargetFilter) {
+    let Some(before) = index.checked_sub(1).map(|before| truth[before]) else { return };
+    let range = filter.track_at(before.stamp).unwrap().range_from(&before.believed);
+    let scale = range.map_or(1.0, |range| range.depth_m / before.seen().0);
+    let mut step = before.camera.inverse() * truth[index].camera;
+    step.x *= scale;
+    step.y *= scale;
+    truth[index].believed = before.believed * step;
 }
 
 /// The range of a map in the frame that it was computed from.
@@ -178,6 +207,60 @@ fn no_drift_of_the_scale_in_minutes() {
         let score = run.score();
         let bias = score.mean(score.bias);
         assert!(bias.abs() < 0.05, "moving {moving}, ground {ground:?}: {bias}");
+    }
+}
+
+/// Both vehicles speed up and brake all the time, the own odometry errs by a tenth of the
+/// way, and the ground ranges by 8 % for seconds: the motion must not be taken for a view of
+/// the distance, nor may the ground lose its hold by the range going up and down.
+#[test]
+fn lively_driving_with_a_wrong_odometry() {
+    let lively = Setup {
+        seconds: 120.0,
+        lively: true,
+        odometry: Some((0.07, 4.0)),
+        ground: Some((0.02, 0.02)),
+        ground_wanders: Some((0.06, 4.0)),
+        ..Setup::default()
+    };
+    let cases =
+        [(None, false), (Some((0.07, 4.0)), false), (Some((0.07, 1e3)), false), (None, true)];
+    for (odometry, fed_back) in cases {
+        let mut run = Run::new(Setup { odometry, ..lively });
+        run.seeds = 0..10;
+        run.fed_back = fed_back;
+        let score = run.score();
+        honest(&score);
+        let bias = score.mean(score.bias);
+        assert!(bias.abs() < 0.03, "{odometry:?}: {bias}");
+        assert!(score.absolute < 0.33 * score.network_absolute, "{score:?}");
+    }
+}
+
+/// Without another source of ranges nothing tells of the error that all maps share, however
+/// the vehicles move: whether the maps and with them the ranges are all too long or too
+/// short, the filter believes the same of them, and does not become surer.
+#[test]
+fn motion_tells_nothing_of_the_scale() {
+    for seed in 0..10 {
+        let scale_found = |scale: f64| {
+            let network_scale = scale.ln();
+            let setup = Setup { seconds: 60.0, lively: true, network_scale, ..Setup::default() };
+            let mut filter = TargetFilter::new(TargetOptions::default()).unwrap();
+            for arriving in &log(seed, &setup).arriving {
+                filter.push(arriving.measurement).unwrap();
+            }
+            filter.network_scale_at(Stamp::from_secs_f64(59.9)).unwrap()
+        };
+        let (right, std) = scale_found(1.0);
+        println!("seed {seed}: {right} {std}");
+        assert!((0.09..0.11).contains(&std), "{std}");
+        for scale in [0.75, 1.3] {
+            let (found, std) = scale_found(scale);
+            println!("seed {seed}: maps times {scale}: {found} {std}");
+            assert!((found / right).ln().abs() < 0.03, "{found} instead of {right}");
+            assert!((0.09..0.11).contains(&std), "{std}");
+        }
     }
 }
 

@@ -7,12 +7,12 @@
 use super::measurement::{Outcome, RangeSource, Reading, Source, TargetMeasurement};
 use super::motion;
 use super::options::{SharedError, StatusTimes, TargetOptions};
-use super::seen::{Camera, Seen};
+use super::seen::{Camera, NEAREST, Seen};
 use super::track::TrailPoint;
 use crate::gaussian::Gaussian;
 use crate::late::{BadMeasurement, Model};
-use realnet_core::nalgebra::{SMatrix, SVector, Vector2};
-use realnet_core::{Stamp, TrackStatus};
+use realnet_core::nalgebra::{Matrix6, SMatrix, SVector, Vector1, Vector2, Vector6};
+use realnet_core::{Pose2, Stamp, TrackStatus};
 
 /// Maps whose scale errors are followed at a time: ranges of the one before the newest
 /// go on coming until the newest one is there.
@@ -93,6 +93,9 @@ pub(crate) struct TargetMoment {
     /// Which map's scale error is in which place.
     maps: [Option<MapInUse>; MAPS],
     camera: Option<Camera>,
+    /// Position, velocity and acceleration of the camera if it had gone on since its last
+    /// measurement as a target does.
+    expected_camera: Option<Vector6<f64>>,
     /// The range, roughly, at which the error of the ground ranges was learned.
     ground_depth: f64,
     streams: [StreamState; 4],
@@ -189,6 +192,7 @@ impl TargetModel {
             alive: false,
             maps: [None; MAPS],
             camera: None,
+            expected_camera: None,
             ground_depth: 1.0,
             streams: [StreamState::default(); 4],
             last_direction: None,
@@ -205,19 +209,68 @@ impl TargetModel {
         let moved = transition * &head;
         head.copy_from(&moved);
         moment.gaussian.transform_first(&transition, &noise, &variances);
+        moment.expected_camera = moment.expected_camera.map(|camera| transition * camera);
+    }
+
+    /// Takes the camera's motion, and takes from the covariance what that motion would tell
+    /// of the distance.
+    ///
+    /// An error of the scale is one of all that is relative to the camera, in proportion.
+    /// The transition carries it on as if the camera had gone on as the target does; where
+    /// the camera has gone another way by `d`, the error would be turned by `d`, and ranges
+    /// would tell of it: motion parallax. It is turned back (the observability-constrained
+    /// filter of Huang, Mourikis and Roumeliotis, 2010), and the part of `d` that the scale
+    /// error really makes wrong is added as a noise.
+    fn move_camera(moment: &mut TargetMoment, stamp: Stamp, pose: &Pose2) -> Camera {
+        let camera = Camera::moved_to(moment.camera, stamp, pose);
+        let moving = camera.motion();
+        let expected = moment.expected_camera.replace(moving);
+        let followed = moment.camera.is_some_and(|last| camera.follows(&last));
+        moment.camera = Some(camera);
+        let Some(d) = expected.map(|e| e - moving).filter(|d| followed && *d != Vector6::zeros())
+        else {
+            return camera;
+        };
+        let forward = pose.direction();
+        let target = moment.position() - pose.position();
+        let depth = forward.dot(&target);
+        let before = depth - forward.dot(&d.fixed_rows::<2>(0));
+        // The camera has not jumped past the target.
+        if !(depth > NEAREST && before > 0.5 * depth && before < 2.0 * depth) {
+            return camera;
+        }
+        let mut by_state = Vector6::zeros();
+        by_state.fixed_rows_mut::<2>(0).copy_from(&(forward / before));
+        let mut row = Row::zeros();
+        row.fixed_rows_mut::<2>(0).copy_from(&by_state.fixed_rows::<2>(0));
+        let variance = moment.gaussian.variance_along(&row);
+        let turned = Matrix6::identity() + d * by_state.transpose();
+        moment.gaussian.transform_first(&turned, &d, &Vector1::new(variance));
+        camera
     }
 
     /// The error of the ground ranges is not the same at another range. It is kept as one
-    /// number, made less certain when the range changes by more than its noise: to follow
-    /// it as an angle would make the scale observable by any error of that angle's model.
+    /// number that is partly forgotten when the range changes by more than its noise, and
+    /// never is less certain than was expected: however often the range goes up and down,
+    /// the ground holds the range. (To follow the error as an angle would make the scale
+    /// observable by any error of that angle's model.)
     fn move_ground_error(&self, moment: &mut TargetMoment, depth: f64) {
         let before = moment.ground_depth;
-        if (depth / before).ln().abs() > GROUND_STEP {
-            let grown = (depth * depth - before * before).abs();
-            let variance = self.options.ground_error.std.powi(2) * grown;
-            moment.gaussian.add_noise_to(GROUND, variance);
+        let ratio = (depth / before).ln().abs();
+        if ratio > GROUND_STEP {
             moment.ground_depth = depth;
+            let kept = (-ratio).exp().max(1e-6);
+            moment.gaussian.scale(GROUND, kept);
+            let variance = self.ground_std(moment).powi(2) * (1.0 - kept * kept);
+            moment.gaussian.add_noise_to(GROUND, variance);
         }
+    }
+
+    /// What is expected of the error of the ground ranges: it grows with the range, as that
+    /// of an angle does, but near the camera it is not smaller than at 1 m, as what is taken
+    /// for the foot may be another part of the target.
+    fn ground_std(&self, moment: &TargetMoment) -> f64 {
+        self.options.ground_error.std * moment.ground_depth.max(1.0)
     }
 
     /// The place of a map's scale error, and how many ranges of the map there were. A new
@@ -249,8 +302,7 @@ impl TargetModel {
         gate: f64,
     ) -> Outcome {
         let pose = &measurement.fixed_from_camera;
-        let camera = Camera::moved_to(moment.camera, measurement.stamp, pose);
-        moment.camera = Some(camera);
+        let camera = Self::move_camera(moment, measurement.stamp, pose);
         let (place, tells) = match measurement.reading {
             Reading::Range { source: RangeSource::Network { map }, .. } => {
                 match self.place_of(moment, map) {
@@ -456,7 +508,7 @@ impl Model for TargetModel {
             let kept = (-seconds / time_s).exp().max(1e-6);
             moment.gaussian.scale(place, kept);
             let gained = -(-2.0 * seconds / time_s).exp_m1();
-            let std = if place == GROUND { std * moment.ground_depth } else { std };
+            let std = if place == GROUND { self.ground_std(moment) } else { std };
             moment.gaussian.add_noise_to(place, std * std * gained);
         }
     }

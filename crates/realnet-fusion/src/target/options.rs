@@ -69,7 +69,8 @@ pub struct TargetOptions {
     pub network_error: SharedError,
     /// Error of the ground ranges: in the logarithm per metre of range, that is, the
     /// error of the pitch in radians over the height of the camera in metres (half a
-    /// degree at 0.2 m is 0.044).
+    /// degree at 0.2 m is 0.044); nearer than 1 m it stays what it is there, as what is
+    /// seen of the target's foot changes with its aspect.
     pub ground_error: SharedError,
     /// Error of the size ranges, in the logarithm.
     pub size_error: SharedError,
@@ -109,7 +110,7 @@ impl Default for TargetOptions {
             map_scale_std: 0.1,
             map_drift: 0.01,
             network_error: SharedError { std: 0.1, time_s: 60.0 },
-            ground_error: SharedError { std: 0.04, time_s: 30.0 },
+            ground_error: SharedError { std: 0.06, time_s: 5.0 },
             size_error: SharedError { std: 0.1, time_s: 300.0 },
             gate_deviations: 4.0,
             reset_after_s: 0.3,

@@ -4,7 +4,7 @@ use realnet_core::nalgebra::{Matrix6, Vector2, Vector6};
 use realnet_core::{Pose2, Stamp};
 
 /// Nearer than this along the optical axis a target is not in view, metres.
-const NEAREST: f64 = 0.01;
+pub(crate) const NEAREST: f64 = 0.01;
 /// The logarithm of the range stays within this of zero: 45 µm to 22 km.
 const LONGEST_LOG: f64 = 10.0;
 /// Poses further apart than this tell nothing of the camera's motion, seconds.
@@ -40,6 +40,17 @@ impl Camera {
         let share = seconds / (seconds + CAMERA_SMOOTHING_S);
         let acceleration = last.acceleration + (acceleration - last.acceleration) * share;
         Self { velocity, acceleration, ..fresh }
+    }
+
+    /// Whether it was followed since `last`.
+    pub(crate) fn follows(&self, last: &Self) -> bool {
+        self.stamp.seconds_since(last.stamp) <= CAMERA_GAP_S
+    }
+
+    /// Position, velocity and acceleration.
+    pub(crate) fn motion(&self) -> Vector6<f64> {
+        let Self { position, velocity, acceleration, .. } = self;
+        Vector6::new(position.x, position.y, velocity.x, velocity.y, acceleration.x, acceleration.y)
     }
 }
 

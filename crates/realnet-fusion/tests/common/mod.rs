@@ -52,6 +52,15 @@ pub struct Setup {
     pub lost: f64,
     /// The target drives, or stands.
     pub moving: bool,
+    /// Both brake hard and speed up again and again, and the distance that is kept goes up
+    /// and down between 0.6 and 2.5 m.
+    pub lively: bool,
+    /// Error of the own odometry, as a share of the way: standard deviation and the time
+    /// for which it lasts.
+    pub odometry: Option<(f64, f64)>,
+    /// A further error of the ground ranges: standard deviation of its logarithm and the
+    /// time for which it lasts.
+    pub ground_wanders: Option<(f64, f64)>,
 }
 
 impl Default for Setup {
@@ -71,7 +80,29 @@ impl Default for Setup {
             size: None,
             lost: 0.0,
             moving: true,
+            lively: false,
+            odometry: None,
+            ground_wanders: None,
         }
+    }
+}
+
+/// An error that lasts for a while: a stationary first-order Gauss-Markov process.
+struct Wandering {
+    std: f64,
+    kept: f64,
+    value: f64,
+}
+
+impl Wandering {
+    fn new(random: &mut Random, (std, time_s): (f64, f64), fps: f64) -> Self {
+        Self { std, kept: (-1.0 / (fps * time_s)).exp(), value: std * random.normal() }
+    }
+
+    fn step(&mut self, random: &mut Random) -> f64 {
+        let gained = self.std * (1.0 - self.kept * self.kept).sqrt();
+        self.value = self.kept * self.value + gained * random.normal();
+        self.value
     }
 }
 
@@ -80,6 +111,8 @@ impl Default for Setup {
 pub struct Truth {
     pub stamp: Stamp,
     pub camera: Pose2,
+    /// The camera by its own odometry.
+    pub believed: Pose2,
     pub position: Vector2<f64>,
     pub velocity: Vector2<f64>,
     pub acceleration: Vector2<f64>,
@@ -115,6 +148,9 @@ fn drive(random: &mut Random, setup: &Setup) -> Vec<Truth> {
     let (mut speed, mut acceleration, mut curvature) = (0.5, 0.0, 0.0_f64);
     let (mut wanted, mut wanted_curvature, mut change_at) = (0.5, 0.0, 1.0);
     let mut own_speed = 0.5;
+    let mut gap = 1.0;
+    let mut believed = camera;
+    let mut odometry = setup.odometry.map(|error| Wandering::new(random, error, setup.fps));
     let (mut brake, mut t) = (1.0, 0.0);
     let mut truth = Vec::with_capacity(frames);
     if !setup.moving {
@@ -122,12 +158,19 @@ fn drive(random: &mut Random, setup: &Setup) -> Vec<Truth> {
     }
     for frame in 0..frames {
         let stamp = Stamp::of_frame(frame as u64, setup.fps);
+        let odometry = odometry.as_mut().map_or(1.0, |error| 1.0 + error.step(random));
         while t < stamp.secs_f64() {
             if t > change_at {
                 change_at = t + random.uniform(0.7, 2.5);
                 wanted = random.uniform(-0.2, 1.2_f64).max(0.0);
                 brake = random.uniform(0.6, 3.0);
                 wanted_curvature = random.uniform(-0.7, 0.7);
+                if setup.lively {
+                    change_at = t + random.uniform(0.7, 1.5);
+                    wanted = random.uniform(0.0, 1.8);
+                    brake = 3.0;
+                    gap = random.uniform(0.6, 2.5);
+                }
             }
             let asked = ((wanted - speed) * 8.0).clamp(-brake, brake.min(2.0));
             acceleration += (asked - acceleration) * STEP / 0.08;
@@ -136,11 +179,12 @@ fn drive(random: &mut Random, setup: &Setup) -> Vec<Truth> {
             target = target.driven(speed, speed * curvature, STEP);
             // The follower keeps about 1 m and turns towards the target.
             let local = camera.rotation().transpose() * (target.position() - camera.position());
-            let gap_speed = speed + 1.5 * (local.x - 1.0);
+            let gap_speed = speed + 1.5 * (local.x - gap);
             let asked = if setup.moving { gap_speed.clamp(0.0, 2.0) } else { 0.0 };
             own_speed += (asked - own_speed).clamp(-4.0 * STEP, 2.5 * STEP);
             let turn = (4.0 * local.y.atan2(local.x)).clamp(-2.5, 2.5);
             camera = camera.driven(own_speed, turn, STEP);
+            believed = believed.driven(own_speed * odometry, turn, STEP);
             t += STEP;
         }
         let forward = target.direction();
@@ -148,6 +192,7 @@ fn drive(random: &mut Random, setup: &Setup) -> Vec<Truth> {
         truth.push(Truth {
             stamp,
             camera,
+            believed,
             position: target.position(),
             velocity: forward * speed,
             acceleration: forward * acceleration + left * (speed * speed * curvature),
@@ -164,6 +209,7 @@ pub fn log(seed: u64, setup: &Setup) -> Log {
     let common = setup.network_scale + setup.network_scale_std * random.normal();
     let pitch = setup.ground.map_or(0.0, |(_, shared)| shared * random.normal());
     let size = setup.size.map_or(0.0, |(_, shared)| shared * random.normal());
+    let mut ground_wanders = setup.ground_wanders.map(|e| Wandering::new(random, e, setup.fps));
     // Stamp, arrival and scale of the maps so far.
     let mut maps: Vec<(Stamp, Stamp, f64)> = Vec::new();
     let mut arriving = Vec::new();
@@ -171,7 +217,7 @@ pub fn log(seed: u64, setup: &Setup) -> Log {
         let (depth, tangent) = now.seen();
         let mut add = |random: &mut Random, arrival: Stamp, reading: Reading| {
             if depth > 0.05 && tangent.abs() < 0.7 && random.uniform(0.0, 1.0) >= setup.lost {
-                let (stamp, fixed_from_camera) = (now.stamp, now.camera);
+                let (stamp, fixed_from_camera) = (now.stamp, now.believed);
                 let measurement = TargetMeasurement { stamp, fixed_from_camera, reading };
                 arriving.push(Arriving { arrival, measurement });
             }
@@ -199,7 +245,9 @@ pub fn log(seed: u64, setup: &Setup) -> Log {
             add(random, ready, reading);
         }
         if let Some((noise, _)) = setup.ground {
-            let reading = range(random, pitch * depth, noise, RangeSource::Ground);
+            let wanders = ground_wanders.as_mut().map_or(0.0, |error| error.step(random));
+            let error = pitch * depth + wanders;
+            let reading = range(random, error, noise, RangeSource::Ground);
             add(random, now.stamp, reading);
         }
         if let Some((noise, _)) = setup.size {
