@@ -14,6 +14,7 @@ use realnet_fusion::{
     TargetMeasurement, TargetOptions, Track,
 };
 use realnet_range::carry::CarryError;
+use realnet_range::cues::Uncertain;
 use realnet_range::motion::MotionError;
 use thiserror::Error;
 
@@ -151,6 +152,12 @@ impl Follower {
     #[must_use]
     pub const fn options(&self) -> &FollowerOptions {
         &self.options
+    }
+
+    /// Pitch of the camera against the ground, radians, positive: nose down.
+    #[must_use]
+    pub fn pitch(&self) -> Uncertain {
+        self.ranging.pitch_rad()
     }
 
     /// The newest range by a depth map alone.
