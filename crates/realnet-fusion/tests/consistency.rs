@@ -132,7 +132,7 @@ fn network_range(measurement: &TargetMeasurement) -> Option<f64> {
 
 /// The network alone, its common error as the options expect it.
 fn network_alone() -> Setup {
-    Setup { network_scale_std: 0.1, ..Setup::default() }
+    Setup { network_scale_std: 0.05, ..Setup::default() }
 }
 
 fn honest(score: &Score) {
@@ -254,12 +254,12 @@ fn motion_tells_nothing_of_the_scale() {
         };
         let (right, std) = scale_found(1.0);
         println!("seed {seed}: {right} {std}");
-        assert!((0.09..0.11).contains(&std), "{std}");
+        assert!((0.045..0.055).contains(&std), "{std}");
         for scale in [0.75, 1.3] {
             let (found, std) = scale_found(scale);
             println!("seed {seed}: maps times {scale}: {found} {std}");
             assert!((found / right).ln().abs() < 0.03, "{found} instead of {right}");
-            assert!((0.09..0.11).contains(&std), "{std}");
+            assert!((0.045..0.055).contains(&std), "{std}");
         }
     }
 }
@@ -267,13 +267,16 @@ fn motion_tells_nothing_of_the_scale() {
 #[test]
 fn a_network_with_a_wrong_scale_is_found_out() {
     let setup = Setup { network_scale: 1.3_f64.ln(), ..Setup::default() };
-    let alone = Run::new(setup).score();
+    let error = SharedError { std: 0.15, time_s: 60.0 };
+    let options = TargetOptions { network_error: error, ..TargetOptions::default() };
+    let with_options = |setup| Run { options, ..Run::new(setup) };
+    let alone = with_options(setup).score();
     assert!(alone.mean(alone.absolute) > 0.2, "nothing else tells of it: {alone:?}");
     let both = Setup { ground: Some((0.05, 0.02)), size: Some((0.05, 0.05)), ..setup };
-    let both = Run::new(both).score();
+    let both = with_options(both).score();
     assert!(both.mean(both.absolute) < 0.06, "{both:?}");
     let log = log(3, &Setup { ground: Some((0.05, 0.02)), size: Some((0.05, 0.05)), ..setup });
-    let mut filter = TargetFilter::new(TargetOptions::default()).unwrap();
+    let mut filter = TargetFilter::new(options).unwrap();
     for arriving in &log.arriving {
         filter.push(arriving.measurement).unwrap();
     }

@@ -266,11 +266,10 @@ impl TargetModel {
         }
     }
 
-    /// What is expected of the error of the ground ranges: it grows with the range, as that
-    /// of an angle does, but near the camera it is not smaller than at 1 m, as what is taken
-    /// for the foot may be another part of the target.
+    /// What is expected of the error of the ground ranges: that of an angle grows with the
+    /// range; that of the place of the foot is in metres, and so grows nearer than 1 m.
     fn ground_std(&self, moment: &TargetMoment) -> f64 {
-        self.options.ground_error.std * moment.ground_depth.max(1.0)
+        self.options.ground_error.std * moment.ground_depth.max(moment.ground_depth.recip())
     }
 
     /// The place of a map's scale error, and how many ranges of the map there were. A new

@@ -65,12 +65,13 @@ pub struct TargetOptions {
     /// logarithm per square root of a second.
     pub map_drift: f64,
     /// Scale error common to all depth maps, in the logarithm. Without ranges of another
-    /// source nothing tells of it: the range is then never surer than this.
+    /// source nothing tells of it: the range is then never surer than this. The default is
+    /// for a network that was trained for the camera; one that was not may err by 20 %.
     pub network_error: SharedError,
-    /// Error of the ground ranges: in the logarithm per metre of range, that is, the
-    /// error of the pitch in radians over the height of the camera in metres (half a
-    /// degree at 0.2 m is 0.044); nearer than 1 m it stays what it is there, as what is
-    /// seen of the target's foot changes with its aspect.
+    /// Error of the ground ranges. Beyond 1 m in the logarithm per metre of range, that is,
+    /// the error of the pitch in radians over the height of the camera in metres (half a
+    /// degree at 0.2 m is 0.044). Nearer it is the same number in metres, as what is taken
+    /// for the target's foot changes with its aspect: in the logarithm over the range.
     pub ground_error: SharedError,
     /// Error of the size ranges, in the logarithm.
     pub size_error: SharedError,
@@ -109,7 +110,7 @@ impl Default for TargetOptions {
             start_acceleration_std: 1.5,
             map_scale_std: 0.1,
             map_drift: 0.01,
-            network_error: SharedError { std: 0.1, time_s: 60.0 },
+            network_error: SharedError { std: 0.05, time_s: 60.0 },
             ground_error: SharedError { std: 0.06, time_s: 5.0 },
             size_error: SharedError { std: 0.1, time_s: 300.0 },
             gate_deviations: 4.0,
