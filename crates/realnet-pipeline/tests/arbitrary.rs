@@ -249,7 +249,7 @@ fn nothing_that_is_said_makes_it_panic_or_leave_the_limits() {
     let test = |(vehicle, begun, events): (VehicleOptions, bool, Vec<Event>)| {
         let mut run = Run::new(vehicle);
         if begun {
-            run.event(&Event::Regular(22))?;
+            run.event(&Event::Regular(40))?;
         }
         events.iter().try_for_each(|event| run.event(event))?;
         moving.set(moving.get() + usize::from(run.moving > 5));
@@ -265,7 +265,7 @@ fn it_follows_again_when_sense_returns() {
     let events = prop::collection::vec(event(false), 1..20);
     let test = |events: Vec<Event>| {
         let mut run = Run::new(VehicleOptions::default());
-        run.event(&Event::Regular(22))?;
+        run.event(&Event::Regular(40))?;
         events.iter().try_for_each(|event| run.event(event))?;
         run.event(&Event::Release)?;
         run.event(&Event::Regular(60))?;
