@@ -50,6 +50,47 @@ impl Default for SightOptions {
     }
 }
 
+impl SightOptions {
+    fn check(&self) -> Result<(), CarryError> {
+        let share = |value: f32| (0.0..=1.0).contains(&value);
+        let positive = |value: f64| value > 0.0;
+        for (option, value, fits, allowed) in [
+            (
+                "edge_std_share",
+                f64::from(self.edge_std_share),
+                share(self.edge_std_share),
+                "0 to 1 sides of the box",
+            ),
+            (
+                "edge_std_px",
+                f64::from(self.edge_std_px),
+                self.edge_std_px > 0.0 && self.edge_std_px.is_finite(),
+                "above 0 pixels",
+            ),
+            ("min_iou", f64::from(self.min_iou), share(self.min_iou), "0 to 1"),
+            (
+                "min_confidence",
+                f64::from(self.min_confidence),
+                share(self.min_confidence),
+                "0 to 1",
+            ),
+            ("hits_within_s", self.hits_within_s, positive(self.hits_within_s), "above 0 s"),
+            ("carry_for_s", self.carry_for_s, positive(self.carry_for_s), "above 0 s"),
+            (
+                "unsupported_for_s",
+                self.unsupported_for_s,
+                self.unsupported_for_s >= 0.0,
+                "at least 0 s",
+            ),
+        ] {
+            if !fits {
+                return Err(CarryError::Option { option, value: value.to_string(), allowed });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// The target's box in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetBox {
@@ -111,6 +152,7 @@ impl Sight {
     /// # Errors
     /// [`CarryError::Option`] for options out of range.
     pub fn new(options: SightOptions) -> Result<Self, CarryError> {
+        options.check()?;
         Ok(Self {
             options,
             carrier: BoxCarrier::new(options.carry)?,
@@ -162,6 +204,7 @@ impl Sight {
     }
 
     fn carry_to(&mut self, now: Stamp) -> Option<TargetBox> {
+        self.last_error = None;
         let anchor = self.anchor?;
         if now.seconds_since(anchor.at.detected) > self.options.carry_for_s {
             self.anchor = None;
@@ -187,7 +230,6 @@ impl Sight {
                     detected: anchor.at.detected,
                 };
                 self.anchor = Some(Anchor { motion: carried.motion, carried_to: now, ..anchor });
-                self.last_error = None;
                 Some(at)
             }
             Err(error) => {
@@ -261,8 +303,11 @@ impl Sight {
     }
 
     /// Counts how often a new target was found in a row, and says whether that is often
-    /// enough.
+    /// enough. Messages that come twice, or behind newer ones, are no hits.
     fn believe(&mut self, stamp: Stamp, found: &Detection) -> bool {
+        if self.candidate.is_some_and(|(last, _)| stamp <= last.stamp) {
+            return false;
+        }
         let at = TargetBox::of_detection(stamp, found.bbox, &self.options);
         let hits = match self.candidate {
             Some((last, hits))
@@ -306,6 +351,7 @@ impl Sight {
     pub fn release(&mut self) {
         self.anchor = None;
         self.unsupported_since = None;
+        self.candidate = None;
     }
 
     fn remember(&mut self, at: TargetBox) {
