@@ -124,3 +124,6 @@ impl OwnOdometry {
         self.last
     }
 }
+
+#[cfg(test)]
+mod tests;
