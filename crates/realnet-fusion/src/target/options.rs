@@ -111,7 +111,7 @@ impl Default for TargetOptions {
             map_scale_std: 0.1,
             map_drift: 0.01,
             network_error: SharedError { std: 0.05, time_s: 60.0 },
-            ground_error: SharedError { std: 0.06, time_s: 5.0 },
+            ground_error: SharedError { std: 0.05, time_s: 10.0 },
             size_error: SharedError { std: 0.1, time_s: 300.0 },
             gate_deviations: 4.0,
             reset_after_s: 0.3,
