@@ -80,6 +80,8 @@ struct StreamState {
     accepted: Option<Stamp>,
     /// First of the refusals since then.
     refused_since: Option<Stamp>,
+    /// Whether its shared error was opened in this track.
+    reopened: bool,
     /// Number of them.
     refusals: u32,
 }
@@ -459,12 +461,21 @@ impl TargetModel {
         if !long || state.refusals < self.options.reset_count {
             return outcome;
         }
-        let mut agrees = |other| other != stream && moment.stream(other).accepted >= Some(since);
+        // One that is refused itself, or that was fitted to the track by opening its error,
+        // or that only began the track, is no witness for it.
+        let mut agrees = |other| {
+            let other_state = moment.stream(other);
+            other != stream
+                && other_state.accepted > Some(since)
+                && other_state.refused_since.is_none()
+                && !other_state.reopened
+        };
         if stream != Stream::Direction && Stream::RANGES.into_iter().any(&mut agrees) {
             self.reopen(moment, stream);
             if let Outcome::Used { .. } = self.apply(moment, measurement, f64::INFINITY) {
                 let accepted = Some(stamp);
-                *moment.stream(stream) = StreamState { accepted, ..StreamState::default() };
+                *moment.stream(stream) =
+                    StreamState { accepted, reopened: true, ..StreamState::default() };
                 return Outcome::Reopened;
             }
         }
@@ -529,8 +540,9 @@ impl Model for TargetModel {
         match self.apply(moment, measurement, self.options.gate_deviations) {
             outcome @ Outcome::Used { .. } => {
                 let accepted = Some(stamp);
-                *moment.stream(Stream::of(measurement)) =
-                    StreamState { accepted, ..StreamState::default() };
+                let state = moment.stream(Stream::of(measurement));
+                let reopened = state.reopened;
+                *state = StreamState { accepted, reopened, ..StreamState::default() };
                 outcome
             }
             Outcome::OldMap => Outcome::OldMap,
