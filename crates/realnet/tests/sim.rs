@@ -77,7 +77,7 @@ fn a_run_says_the_same_each_time_and_writes_what_it_should() {
     let mut args =
         vec!["--scenario", SHORT, "--seed", "3", "--json", "--report", "out", "--log", "log"];
     if with_video {
-        args.extend(["--video", "run.mp4"]);
+        args.extend(["--video", "out/run.mp4"]);
     }
     let first = sim_in(folder.path(), &args);
     let values = judged(&first);
@@ -91,22 +91,27 @@ fn a_run_says_the_same_each_time_and_writes_what_it_should() {
 
     let out = folder.path().join("out");
     let page_name = format!("{SHORT}-3.html");
-    assert_eq!(listing(&out), [page_name.as_str()]);
+    let names = [page_name.as_str(), "run.mp4"];
+    assert_eq!(listing(&out), names[..1 + usize::from(with_video)]);
     let page = std::fs::read_to_string(out.join(&page_name)).unwrap();
     for outside in ["http:", "https:", "src=", "@import", "url(//"] {
         assert!(!page.contains(outside), "the page needs {outside}");
     }
     assert!(page.contains("realnet sim --scenario no-target --seed 3"), "how it was called");
     assert!(!page.contains("NaN"), "only numbers are drawn");
+    assert_eq!(page.contains("href=\"run.mp4\""), with_video, "the video lies beside the page");
 
     let log_name = format!("{SHORT}-3.csv");
     let log = std::fs::read_to_string(folder.path().join("log").join(&log_name)).unwrap();
     let columns: Vec<usize> = log.lines().map(|line| line.split(',').count()).collect();
     assert!(columns.iter().all(|count| *count == columns[0]), "{columns:?}");
+    let last = log.lines().last().unwrap().split(',').collect::<Vec<_>>();
+    let target = log.lines().next().unwrap().split(',').position(|name| name == "target_x");
+    assert_eq!(last[target.unwrap()], "", "a target that is not there is nowhere");
     let frames = value["frames"].as_u64().unwrap();
     assert_eq!(columns.len() as u64, frames + 1);
     if with_video {
-        assert_eq!(frames_in(&folder.path().join("run.mp4")), frames);
+        assert_eq!(frames_in(&out.join("run.mp4")), frames);
     }
 
     let second = sim_in(folder.path(), &args);
@@ -135,6 +140,14 @@ fn several_seeds_are_in_order_with_a_page_over_all() {
 }
 
 #[test]
+fn the_largest_seed_is_one_too() {
+    let folder = tempdir().unwrap();
+    let largest = u64::MAX.to_string();
+    let run = sim_in(folder.path(), &["--scenario", SHORT, "--seed", &largest, "--json"]);
+    assert_eq!(judged(&run)[0]["seed"].as_u64(), Some(u64::MAX));
+}
+
+#[test]
 fn bad_input_is_named() {
     let folder = tempdir().unwrap();
     for (args, words) in [
@@ -143,6 +156,11 @@ fn bad_input_is_named() {
         (&[], "required"),
         (&["--list", "--all"], "cannot be used with"),
         (&["--all", "--seeds", "0"], "0 is not in"),
+        // What would be passed over in silence.
+        (&["--list", "--report", "out"], "cannot be used with"),
+        (&["--dataset", "set", "--seeds", "2"], "cannot be used with"),
+        (&["--dataset", "set", "--json"], "cannot be used with"),
+        (&["--scenario", SHORT, "--frames", "5"], "cannot be used with"),
     ] {
         let run = sim_in(folder.path(), args);
         assert!(run.code == Some(2) && run.stderr.contains(words), "{args:?}: {run:#?}");

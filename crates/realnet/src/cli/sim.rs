@@ -12,6 +12,7 @@ use super::{command_line, interrupt, progress};
 use anyhow::{Context, Result};
 use clap::Args;
 use json::RunResult;
+use realnet_core::Pose2;
 use realnet_io::atomic;
 use realnet_sim::dataset::DatasetSpec;
 use realnet_sim::scenario::Scenario;
@@ -40,33 +41,34 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Runs of each scenario, with the seeds from --seed on.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with_all = ["list", "dataset"],
+        value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
     /// Write a page for each run, and one over all, into this folder.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["list", "dataset"])]
     report: Option<PathBuf>,
     /// Write each frame of the runs as lines of numbers (CSV) into this folder.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["list", "dataset"])]
     log: Option<PathBuf>,
     /// Write what the camera saw, with what was made of it, as a video; of one run.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["list", "dataset"])]
     video: Option<PathBuf>,
     /// Runs at a time [default: the number of processors].
     #[arg(long, value_name = "N")]
     jobs: Option<NonZeroUsize>,
     /// JSON: an object a line for each run, or for each scenario of --list.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "dataset")]
     json: bool,
     /// Frames of a data set.
-    #[arg(long, value_name = "N", default_value_t = 1000, requires = "dataset",
+    #[arg(long, value_name = "N", default_value_t = 1000, conflicts_with_all = ["list", "scenario", "all"],
         value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     frames: u64,
     /// Width of the pictures of a data set, pixels.
-    #[arg(long, value_name = "PIXELS", default_value_t = 640, requires = "dataset",
+    #[arg(long, value_name = "PIXELS", default_value_t = 640, conflicts_with_all = ["list", "scenario", "all"],
         value_parser = clap::value_parser!(u32).range(16..=4096))]
     width: u32,
     /// Their height, pixels.
-    #[arg(long, value_name = "PIXELS", default_value_t = 360, requires = "dataset",
+    #[arg(long, value_name = "PIXELS", default_value_t = 360, conflicts_with_all = ["list", "scenario", "all"],
         value_parser = clap::value_parser!(u32).range(16..=4096))]
     height: u32,
 }
@@ -106,7 +108,8 @@ pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
             .with_context(|| format!("cannot make the folder {}", directory.display()))
             .or_bad_input()?;
     }
-    let seeds = args.seed..args.seed.saturating_add(args.seeds);
+    // After the largest seed comes 0.
+    let seeds = (0..args.seeds).map(|index| args.seed.wrapping_add(index));
     let wanted: Vec<(&Scenario, u64)> =
         scenarios.iter().flat_map(|s| seeds.clone().map(move |seed| (s, seed))).collect();
     if args.video.is_some() && wanted.len() > 1 {
@@ -254,7 +257,9 @@ fn one(args: &SimArgs, scenario: &Scenario, seed: u64, several: bool) -> Result<
     if let Some(directory) = &args.report {
         let command = command_line();
         let index = several.then_some(INDEX);
-        let options = PageOptions { command: &command, video: None, index };
+        let video = args.video.as_deref().and_then(|path| path.strip_prefix(directory).ok());
+        let video = video.and_then(Path::to_str);
+        let options = PageOptions { command: &command, video, index };
         let path = directory.join(report::page_name(&run));
         atomic::write(&path, report::page(&run, &log, &options).as_bytes())?;
         if !several {
@@ -287,6 +292,9 @@ fn write_log(path: &Path, log: &RunLog) -> Result<()> {
             frame.range_fused_std_m,
             Some(frame.pitch_rad),
         ];
+        // Nowhere, when there is none.
+        let target = log.target_size.map(|_| frame.target);
+        let target = |value: fn(&Pose2) -> f64| target.as_ref().map_or(f64::NAN, value);
         let numbers = [
             frame.gap_m,
             frame.clearance_m,
@@ -295,13 +303,13 @@ fn write_log(path: &Path, log: &RunLog) -> Result<()> {
             frame.steering_command,
             frame.speed,
             frame.steering,
-            frame.target_speed,
+            if log.target_size.is_some() { frame.target_speed } else { f64::NAN },
             frame.follower.x,
             frame.follower.y,
             frame.follower.heading,
-            frame.target.x,
-            frame.target.y,
-            frame.target.heading,
+            target(|pose| pose.x),
+            target(|pose| pose.y),
+            target(|pose| pose.heading),
         ];
         let _ = writeln!(
             text,

@@ -1,6 +1,6 @@
 //! `realnet sim --dataset`: pictures to learn from, as files.
 
-use crate::cli::failure::{Outcome, bad_input, say};
+use crate::cli::failure::{OrBadInput, Outcome, bad_input, say};
 use crate::cli::{interrupt, progress};
 use anyhow::{Context, Result};
 use realnet_core::{CameraCalibration, Detection};
@@ -128,6 +128,7 @@ fn prepare(folder: &Path, spec: &DatasetSpec) -> Result<()> {
 fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path)
         .with_context(|| format!("cannot make the folder {}", path.display()))
+        .or_bad_input()
 }
 
 /// The files of a sample.
