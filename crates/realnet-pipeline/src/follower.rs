@@ -10,7 +10,7 @@ use realnet_core::{
     TrackStatus,
 };
 use realnet_fusion::{
-    DirectionSource, LateError, OptionsError, RangeSource, Reading, TargetFilter,
+    DirectionSource, LateError, OptionsError, RangeSource, Reading, SharedError, TargetFilter,
     TargetMeasurement, TargetOptions, Track,
 };
 use realnet_range::carry::CarryError;
@@ -23,6 +23,8 @@ const TRAIL_S: f64 = 6.0;
 /// Share of the difference between seen and promised speed that is believed in a frame:
 /// two thirds of a second at 30 frames a second, two depth maps.
 const SPEED_GAIN: f64 = 0.05;
+/// Standard deviation of the error that all maps of a network have in common.
+const NETWORK_STD: f64 = 0.1;
 /// Above this speed a target looks the way it drives, m/s.
 const HEADING_SPEED: f64 = 0.2;
 /// Share of a whole box in what is known about their shape.
@@ -58,7 +60,11 @@ impl Default for FollowerOptions {
             classes: Vec::new(),
             sight: SightOptions::default(),
             ranging: RangingOptions::default(),
-            fusion: TargetOptions::default(),
+            // Networks that never saw this camera err in common.
+            fusion: TargetOptions {
+                network_error: SharedError { std: NETWORK_STD, time_s: 60.0 },
+                ..TargetOptions::default()
+            },
             control: ControlOptions::default(),
             keep_in_view: true,
         }
@@ -229,6 +235,10 @@ impl Follower {
             && motion.velocity.norm() > HEADING_SPEED
         {
             self.heading = Some(motion.velocity.y.atan2(motion.velocity.x));
+        }
+        if track.is_none_or(|track| track.status == TrackStatus::Searching) {
+            // The next target is another one.
+            (self.height, self.aspect, self.heading) = (None, None, None);
         }
         let by_forward = self.ranging.depth_of_forward(target.as_ref());
         let fused_m = range.map(|r| (r.depth_m * by_forward, r.std_m * by_forward));

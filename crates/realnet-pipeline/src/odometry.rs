@@ -7,6 +7,9 @@ use realnet_range::motion::Motion;
 /// Poses that are remembered, for measurements that come late.
 const POSES: usize = 128;
 
+/// Faster turns are no robot's, rad/s: one wild motion would turn the fixed frame for good.
+const MAX_YAW_RATE: f64 = 8.0;
+
 /// Where a camera sits on a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraMount {
@@ -89,7 +92,7 @@ impl OwnOdometry {
             self.base_from_optical * before.inverse() * now? * self.base_from_optical.inverse();
         let twist = moved.log() / seconds;
         let (speed, yaw_rate) = (twist[0], twist[5]);
-        let believed = speed.abs() <= self.max_speed && yaw_rate.is_finite();
+        let believed = speed.abs() <= self.max_speed && yaw_rate.abs() <= MAX_YAW_RATE;
         believed.then_some((speed, yaw_rate))
     }
 

@@ -106,6 +106,8 @@ pub struct Ranging {
     pitch: PitchFilter,
     /// Of the last frame: the map's frame, and the background's rotation since.
     before: Option<(Stamp, Stamp, realnet_core::Pose)>,
+    /// Of the kept frame: the map's frame then, and the background's motion since.
+    kept: Option<(Stamp, realnet_core::Pose)>,
     key: Option<Key>,
 }
 
@@ -135,6 +137,7 @@ impl Ranging {
             ground_fit: GroundFit::new(GroundFitOptions::default())?,
             pitch: PitchFilter::new(pitch, filter)?,
             before: None,
+            kept: None,
             key: None,
         })
     }
@@ -153,6 +156,9 @@ impl Ranging {
     /// The present frame goes to the depth network.
     pub fn keep(&mut self) {
         self.tracker.keep();
+        let background =
+            self.tracker.motion().and_then(|m| Some((m.then, m.background.as_ref().ok()?)));
+        self.kept = background.map(|(then, body)| (then, body.now_from_then()));
     }
 
     /// The present frame.
@@ -196,11 +202,20 @@ impl Ranging {
         });
         let found = scaled.and_then(|bbox| self.in_box(map, bbox, expected).ok());
         let gate = found.and_then(|_| self.depth_in_box.foreground(&SigmaRule::default()).ok());
-        self.level_by_way();
+        let expected_map = self.tracker.kept() == Some(map.stamp());
+        if expected_map {
+            self.level_by_way();
+        }
         let kept = self.tracker.set_depth(map, gate.map(|foreground| foreground.gate).as_ref());
         let point = found.zip(at).and_then(|(found, at)| self.lift(&at.bbox, found.depth_m));
         if kept.is_ok() {
-            self.before = None;
+            // The last frame as seen from the new map's: no rotation is passed over.
+            self.before = match (self.before, self.kept.take()) {
+                (Some((then, stamp, last)), Some((kept_then, kept))) if then == kept_then => {
+                    Some((map.stamp(), stamp, last * kept.inverse()))
+                }
+                _ => None,
+            };
             self.level_by(map, scaled);
             self.key = point.zip(at).map(|(point, at)| Key {
                 stamp: map.stamp(),

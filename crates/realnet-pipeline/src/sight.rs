@@ -259,7 +259,7 @@ impl Sight {
         let least = self.options.min_confidence;
         let wanted = detections
             .iter()
-            .filter(|d| d.confidence >= least && d.bbox.is_proper())
+            .filter(|d| (least..=1.0).contains(&d.confidence) && d.bbox.is_proper())
             .filter(|d| allowed(d));
         let overlap = at.and_then(|at| {
             let by_overlap = |d: &&Detection| f64::from(d.bbox.iou(&at.bbox));

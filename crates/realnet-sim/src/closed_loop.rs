@@ -20,6 +20,8 @@ use thiserror::Error;
 /// Class that the detector calls all vehicles.
 pub const VEHICLE_CLASS: u32 = 0;
 
+/// Pitch of a small car's body for its acceleration, nose up.
+const NOD_RAD_PER_M_S2: f64 = 0.004;
 /// Exposures from this on are drawn with their blur, seconds.
 const BLURRING_S: f64 = 0.012;
 /// What the target's pixels have in the mask: it is the first actor.
@@ -120,6 +122,8 @@ struct World<'a> {
     network: DepthNetwork,
     follower: Follower,
     stop_requested: bool,
+    /// Speed at the last frame, and when that was.
+    before: Option<(f64, Stamp)>,
     /// The present frame goes to the depth network.
     kept: bool,
     last: Option<FrameReport>,
@@ -155,6 +159,7 @@ impl<'a> World<'a> {
             network: DepthNetwork::new(setup.depth.clone(), setup.seed),
             follower: Follower::new(&setup.camera.model, options)?,
             stop_requested: false,
+            before: None,
             kept: false,
             last: None,
             log,
@@ -182,10 +187,11 @@ impl<'a> World<'a> {
             self.actors.push(Actor::new(vehicle.kind, paint, vehicle.state(time_s)));
         }
         self.renderer.set_mount(mount(setup, time_s));
+        let own = self.vehicle.state();
         let shot = Shot {
             time_s,
-            own: self.vehicle.state(),
-            lean: [0.0; 2],
+            own,
+            lean: self.lean(own.speed, exposed),
             actors: &self.actors,
             seed: setup.seed.wrapping_mul(0x9e37_79b9).wrapping_add(exposed.nanos() as u64),
         };
@@ -217,6 +223,14 @@ impl<'a> World<'a> {
         self.detector.show(exposed, size, light, &self.objects);
         self.kept = self.network.show(&self.picture.depth)?;
         Ok(())
+    }
+
+    /// How the body leans on its springs: nose down while it brakes.
+    fn lean(&mut self, speed: f64, now: Stamp) -> [f64; 2] {
+        let (before, then) = self.before.replace((speed, now)).unwrap_or((speed, now));
+        let seconds = now.seconds_since(then);
+        let acceleration = if seconds > 0.0 { (speed - before) / seconds } else { 0.0 };
+        [-NOD_RAD_PER_M_S2 * acceleration.clamp(-5.0, 5.0), 0.0]
     }
 
     /// The follower gets what has arrived by now.
@@ -400,8 +414,9 @@ fn camera(setup: &Setup) -> SimCamera {
 fn mount(setup: &Setup, time_s: f64) -> realnet_core::Pose {
     let mount = &setup.camera.mount;
     let [roll, pitch, yaw] = setup.camera_turn(time_s);
-    let place = Vector3::new(mount.forward_m, mount.left_m, mount.height_m);
-    base_from_mount(place, yaw, mount.pitch_rad + pitch, roll)
+    let height = mount.height_m + setup.camera.height_error_m;
+    let place = Vector3::new(mount.forward_m, mount.left_m, height);
+    base_from_mount(place, yaw, mount.pitch_rad + setup.camera.pitch_error_rad + pitch, roll)
 }
 
 fn walls(bounds: &Bounds) -> Vec<Vector2<f64>> {

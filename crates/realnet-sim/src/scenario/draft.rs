@@ -63,7 +63,10 @@ impl Draft {
 
         let start_gap = between(-0.15, 0.2);
         let start_offset = [between(-0.06, 0.06), between(-0.05, 0.05)];
-        let camera = camera(between(0.4, 1.0), between(0.004, 0.009));
+        let mut camera = camera(between(0.4, 1.0), between(0.004, 0.009));
+        // No mount is what its drawing says.
+        camera.pitch_error_rad = between(-0.008, 0.008);
+        camera.height_error_m = between(-0.005, 0.005);
 
         let setup = Setup {
             name: scenario.name(),
@@ -217,6 +220,8 @@ fn camera(noise: f64, exposure_s: f64) -> CameraSetup {
     CameraSetup {
         model: lens(457.0, Distortion::None),
         mount: CameraMount::default(),
+        pitch_error_rad: 0.0,
+        height_error_m: 0.0,
         rate_hz: 30.0,
         latency_s: 0.02,
         exposure_s,

@@ -156,6 +156,11 @@ fn not_finite(log: &RunLog) -> Option<String> {
 impl StopRule {
     /// What does not hold.
     fn check(&self, log: &RunLog) -> Option<String> {
+        if let Self::Commanded { from_s, until_s } | Self::Stands { from_s, until_s } = *self
+            && !log.frames.iter().any(|frame| (from_s..=until_s).contains(&frame.time_s))
+        {
+            return Some(format!("there is no frame from {from_s:.2} to {until_s:.2} s"));
+        }
         let frames = |from_s: f64, until_s: f64| {
             log.frames.iter().filter(move |frame| (from_s..=until_s).contains(&frame.time_s))
         };

@@ -17,6 +17,10 @@ pub struct CameraSetup {
     pub model: CameraModel,
     /// Where it sits, as the follower knows it.
     pub mount: CameraMount,
+    /// By how much it really looks further down than the follower knows, radians.
+    pub pitch_error_rad: f64,
+    /// By how much it really sits higher than the follower knows, metres.
+    pub height_error_m: f64,
     /// Frames a second.
     pub rate_hz: f64,
     /// From the exposure of a frame until the follower has it, s.

@@ -33,7 +33,9 @@ Examples:
   realnet sim --list
   realnet sim --scenario hard-braking --seed 3 --report out/ --video out/hard-braking.mp4
   realnet sim --all --seeds 20 --report out/
-  realnet sim --dataset data/sim --frames 2000 --seed 1")]
+  realnet sim --dataset data/sim --frames 2000 --seed 1
+
+Exit codes: 0 all passed, 1 a run did not pass, 2 bad input, 130 interrupted.")]
 pub(crate) struct SimArgs {
     #[command(flatten)]
     what: WhatArgs,

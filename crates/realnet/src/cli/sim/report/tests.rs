@@ -78,6 +78,8 @@ pub(in crate::cli::sim) fn plausible() -> RunLog {
         let steering = (2.0 * 0.26 * offset.y / (range * range)).atan().clamp(-0.45, 0.45);
         walker.push(Pose2::new(4.0 + 0.12 * time, -1.6 + 0.1 * time, 0.7));
         log.frames.push(FrameLog {
+            range_ground_m: None,
+            pitch_rad: 0.0,
             time_s: time,
             range_true_m: (!hidden).then_some(range),
             range_network_m: held,
