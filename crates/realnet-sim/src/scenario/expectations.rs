@@ -249,6 +249,7 @@ mod tests {
             min_tracked_share: Some(0.99),
             max_range_abs_rel: Some(0.01),
             max_final_gap_error_m: Some(0.021),
+            regains_for_s: None,
             tracks_at_end: true,
             min_way_m: 3.9,
             max_way_m: Some(4.1),
