@@ -241,7 +241,11 @@ impl GroundFit {
         check("min_share", options.min_share, (0.0..=1.0).contains(&options.min_share), "0 to 1")?;
         let limit = options.max_pitch_std_rad;
         check("max_pitch_std_rad", limit, limit > 0.0, "greater than 0")?;
-        Ok(Self { options, points: Vec::new(), residuals: Vec::new() })
+        // How many pixels could be ground changes from map to map; "about" is within a
+        // quarter.
+        let room = options.max_samples.min(1 << 16) / 4 * 5;
+        let (points, residuals) = (Vec::with_capacity(room), Vec::with_capacity(room));
+        Ok(Self { options, points, residuals })
     }
 
     /// The ground in `map`, whose picture `camera` is. Pixels in one of the boxes
