@@ -1,4 +1,22 @@
 //! The stages of RealNet wired together: frames in, commands out.
+//!
+//! [`Follower`] is the whole: it takes frames at once, detections and depth maps whenever
+//! they are ready (each with the stamp of the frame that it is about), and gives a command
+//! at any time. No thread, no clock, no hidden randomness: a live robot, a replay and the
+//! simulator run the same code.
+//!
+//! | stage | what |
+//! |---|---|
+//! | [`Sight`] | the target's box in the present frame, from late detections, by flow |
+//! | [`Ranging`] | metres: the map's depth in the box, moved by the target's motion; the target's foot on the ground; the camera's pitch |
+//! | [`OwnOdometry`] | the robot's own place: turns by flow, speed by commands and flow |
+//! | [`realnet_fusion::TargetFilter`] | where the target is and how it moves, by stamp |
+//! | [`realnet_control::Controller`] | steering and speed, and stops with their reasons |
+//!
+//! Who calls it: [`Follower::frame`] for each frame, [`Follower::keep_for_depth`] when the
+//! depth network takes that frame, [`Follower::detections`] and [`Follower::depth`] when
+//! an answer is there, [`Follower::command`] once a frame, [`Follower::idle`] by a timer
+//! of 50 ms or less when no frame came.
 
 mod follower;
 mod odometry;

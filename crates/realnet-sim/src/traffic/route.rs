@@ -273,10 +273,11 @@ mod tests {
             let (here, there) = (route.pose(at), route.pose(at + step));
             prop_assert!(((there.position() - here.position()).norm() - step).abs() < 1e-6);
             let turned = (there.heading - here.heading) / step;
-                prop_assert!((turned - route.curvature(at)).abs() < 1e-3, "{turned}");
+            prop_assert!((turned - route.curvature(at)).abs() < 1e-3, "{turned}");
             prop_assert!(route.curvature(at).abs() <= 1.2);
             let (least, most) = route.bounds(0.0, route.length());
-            prop_assert!(least.min() > -4.5 && most.max() < 4.5, "{least:?} {most:?}");
+            // Out at 2.5 m, it comes back on a circle of 0.83 m that it has to ease into.
+            prop_assert!(least.min() > -5.5 && most.max() < 5.5, "{least:?} {most:?}");
         }
     }
 }
