@@ -107,7 +107,7 @@ pub fn run_with(
             break;
         }
     }
-    Ok(world.finish())
+    Ok(world.log)
 }
 
 /// Everything that is in motion during a run.
@@ -372,10 +372,6 @@ impl<'a> World<'a> {
             corners.iter().map(|corner| bounds.depth_of(corner)).fold(f64::INFINITY, f64::min)
         });
         least.min(walls.unwrap_or(f64::INFINITY))
-    }
-
-    fn finish(self) -> RunLog {
-        self.log
     }
 }
 

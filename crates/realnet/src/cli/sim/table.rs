@@ -197,8 +197,8 @@ const COLUMNS: [(&str, &[(&str, usize)]); 7] = [
 ];
 
 impl ScenarioSummary {
-    /// What stands in the columns.
-    fn cells(&self) -> [String; 11] {
+    /// What stands in the columns, here and on the page.
+    pub(super) fn cells(&self) -> [String; 11] {
         let millimetres = |value: Option<f64>| number(value.map(|m| 1e3 * m), 1);
         [
             format!("{}/{}", self.passes, self.seeds),

@@ -90,7 +90,6 @@ fn row(
     runs: &[RunResult],
     has_page: impl Fn(&RunResult) -> bool,
 ) {
-    let millimetres = |value: Option<f64>| number(value.map(|m| 1e3 * m), 1);
     let _ =
         write!(html, "<tr><th scope=\"row\">{}<div class=\"seeds\">", escape(&scenario.scenario));
     for run in runs.iter().filter(|run| run.scenario == scenario.scenario) {
@@ -108,19 +107,9 @@ fn row(
         };
     }
     let class = if scenario.passed() { "" } else { " class=\"bad-cell\"" };
-    let _ = write!(html, "</div></th><td{class}>{}/{}</td>", scenario.passes, scenario.seeds);
-    for cell in [
-        number(scenario.gap_rmse_m.mean, 3),
-        number(scenario.gap_rmse_m.worst, 3),
-        percent(scenario.range_abs_rel.mean, 1),
-        percent(scenario.range_abs_rel.worst, 1),
-        percent(scenario.range_abs_rel_network_only.mean, 1),
-        millimetres(scenario.range_jitter_m.mean),
-        millimetres(scenario.range_jitter_network_only_m.mean),
-        percent(scenario.within_two_std.mean, 1),
-        number(scenario.min_gap_m.worst, 2),
-        percent(scenario.tracked_share.mean, 1),
-    ] {
+    let [passes, figures @ ..] = scenario.cells();
+    let _ = write!(html, "</div></th><td{class}>{passes}</td>");
+    for cell in figures {
         let _ = write!(html, "<td>{cell}</td>");
     }
     html.push_str("</tr>\n");
