@@ -2,7 +2,6 @@
 
 use crate::limits::command;
 use crate::lost::LostTarget;
-use crate::predictor::later;
 use crate::pursuit::{Aim, aim};
 use crate::speed::{GapControl, GapController, OwnMotion, SpeedBound, SpeedBounds};
 use crate::{
@@ -112,7 +111,7 @@ impl Controller {
     /// is to be predicted.
     #[must_use]
     pub fn effect_time(&self, now: Stamp) -> Stamp {
-        later(now, self.options.vehicle.effect_delay_s())
+        now.seconds_later(self.options.vehicle.effect_delay_s())
     }
 
     /// The vehicle's motion by the commands sent so far.

@@ -105,7 +105,7 @@ impl VehiclePredictor {
         // a hair less: a command may have been through a float of another size
         let speed = if command.speed.abs() < 0.999 * least { 0.0 } else { command.speed };
         let goal = Motion { speed, turn };
-        let stamp = later(command.stamp, self.vehicle.dead_time_s);
+        let stamp = command.stamp.seconds_later(self.vehicle.dead_time_s);
         if let Some(last) = self.last_push.filter(|last| command.stamp < *last) {
             let state = self.motion_at(last);
             self.knots.clear();
@@ -174,7 +174,7 @@ impl VehiclePredictor {
         // Arcs of the motion in the middle of each step: exact where the motion is even,
         // of second order elsewhere; backwards they undo what they did forwards.
         (0..steps as u32).fold(pose, |pose, index| {
-            let middle = later(from, step * (f64::from(index) + 0.5));
+            let middle = from.seconds_later(step * (f64::from(index) + 0.5));
             let motion = self.motion_at(middle);
             let yaw_rate = self.vehicle.drive.yaw_rate(motion.speed, motion.turn);
             pose.driven(motion.speed, yaw_rate, step)
@@ -287,12 +287,6 @@ fn lagged(from: f64, goal: f64, lag: f64, rate: f64, seconds: f64) -> f64 {
     }
     let rest = missing.abs().min(lag * rate).copysign(missing);
     if lag > 0.0 { goal - rest * (-(seconds - fast) / lag).exp() } else { goal }
-}
-
-/// `stamp` and so many seconds.
-pub(crate) fn later(stamp: Stamp, seconds: f64) -> Stamp {
-    // `as` saturates.
-    Stamp::from_nanos(stamp.nanos().saturating_add((seconds * 1e9).round() as i64))
 }
 
 #[cfg(test)]

@@ -116,6 +116,12 @@ impl BoundingBox {
         if union > 0.0 && hull > 0.0 { inter / union - (hull - union) / hull } else { 0.0 }
     }
 
+    /// The box in a picture `sx` times as wide and `sy` times as high.
+    #[must_use]
+    pub fn scaled(&self, sx: f32, sy: f32) -> Self {
+        Self::new(self.x0 * sx, self.y0 * sy, self.x1 * sx, self.y1 * sy)
+    }
+
     /// The smallest box that encloses both.
     #[must_use]
     pub fn enclosing(&self, other: &Self) -> Self {

@@ -47,6 +47,13 @@ impl Stamp {
         self.0 as f64 * 1e-9
     }
 
+    /// So many seconds after this stamp, before it for a negative number; rounded and
+    /// saturating as [`Stamp::from_secs_f64`].
+    #[must_use]
+    pub fn seconds_later(self, seconds: f64) -> Self {
+        Self(self.0.saturating_add(Self::from_secs_f64(seconds).0))
+    }
+
     /// Seconds from `earlier` to `self`; negative when `self` is the earlier one.
     #[must_use]
     pub fn seconds_since(self, earlier: Self) -> f64 {
@@ -79,6 +86,15 @@ mod tests {
         assert!((last.seconds_since(first) - 18_446_744_073.709_55).abs() < 1e-3);
         assert_eq!(Stamp::from_secs_f64(f64::NAN), Stamp::ZERO);
         assert_eq!(Stamp::from_secs_f64(f64::INFINITY), last);
+    }
+
+    #[test]
+    fn later_stamps_are_exact_and_saturate() {
+        let now = Stamp::from_nanos(1_800_000_000_123_456_789);
+        assert_eq!(now.seconds_later(0.02).nanos(), 1_800_000_000_143_456_789);
+        assert_eq!(now.seconds_later(-6.0).nanos(), 1_799_999_994_123_456_789);
+        assert_eq!(now.seconds_later(f64::INFINITY).nanos(), i64::MAX);
+        assert_eq!(now.seconds_later(f64::NAN), now);
     }
 
     #[test]

@@ -227,10 +227,9 @@ impl Follower {
         fast: Option<SeenRange>,
         ground: Option<SeenRange>,
     ) -> FrameReport {
-        let fixed_from_base = self.odometry.pose_at(stamp).unwrap_or_default();
         let track = self.fusion.track_at(stamp).ok();
-        let camera = fixed_from_base * self.options.mount.base_from_camera();
-        let range = track.and_then(|track| track.range_from(&camera));
+        let camera = self.odometry.camera_at(stamp);
+        let range = track.zip(camera).and_then(|(track, camera)| track.range_from(&camera));
         if let Some(motion) = track.and_then(|track| track.motion)
             && motion.velocity.norm() > HEADING_SPEED
         {
@@ -255,7 +254,7 @@ impl Follower {
             pitch_rad: self.ranging.pitch_rad().value,
             fused_m,
             status: track.map_or(TrackStatus::Searching, |track| track.status),
-            fixed_from_base,
+            fixed_from_base: self.odometry.pose_at(stamp).unwrap_or_default(),
         }
     }
 
@@ -270,7 +269,7 @@ impl Follower {
     /// box there, if it is among it.
     pub fn detections(&mut self, stamp: Stamp, detections: &[Detection]) -> Option<TargetBox> {
         let Self { sight, ranging, odometry, fusion, options, height, .. } = self;
-        let expected = expectation(fusion, odometry, &options.mount, stamp);
+        let expected = expectation(fusion, odometry, stamp);
         let allowed =
             |d: &Detection| options.classes.is_empty() || options.classes.contains(&d.class_id);
         let found = sight.detections(stamp, detections, allowed, |detection| {
@@ -299,9 +298,7 @@ impl Follower {
     pub fn depth(&mut self, map: &DepthMap) -> Result<(), MotionError> {
         let stamp = map.stamp();
         let at = self.sight.box_at(stamp);
-        let camera =
-            self.odometry.pose_at(stamp).map(|p| p * self.options.mount.base_from_camera());
-        let expected = camera.and_then(|camera| {
+        let expected = self.odometry.camera_at(stamp).and_then(|camera| {
             let range = self.fusion.track_at(stamp).ok()?.range_from(&camera)?;
             Some((range.depth_m, range.std_m))
         });
@@ -321,8 +318,7 @@ impl Follower {
         let (state, fixed_from_base) = self.target_for(now, effect);
         let base_from_fixed = fixed_from_base.inverse();
         self.trail.clear();
-        let since = Stamp::from_secs_f64(now.secs_f64() - TRAIL_S);
-        let points = self.fusion.trail(since);
+        let points = self.fusion.trail(now.seconds_later(-TRAIL_S));
         self.trail.extend(points.map(|point| base_from_fixed.transform_point(&point.position)));
         let input = ControlInput { now, target: &state, trail: &self.trail, own_speed: None };
         self.controller.step(&input)
@@ -391,8 +387,7 @@ impl Follower {
 
     /// Numbers out of range and stamps before the horizon cost only themselves.
     fn measure(&mut self, stamp: Stamp, reading: Reading) -> Option<LateError> {
-        let fixed_from_base = self.odometry.pose_at(stamp)?;
-        let fixed_from_camera = fixed_from_base * self.options.mount.base_from_camera();
+        let fixed_from_camera = self.odometry.camera_at(stamp)?;
         self.fusion.push(TargetMeasurement { stamp, fixed_from_camera, reading }).err()
     }
 }
@@ -424,12 +419,11 @@ struct Expectation {
 fn expectation(
     fusion: &mut TargetFilter,
     odometry: &OwnOdometry,
-    mount: &CameraMount,
     stamp: Stamp,
 ) -> Option<Expectation> {
     let track: Track = fusion.track_at(stamp).ok()?;
     let motion = track.motion?;
-    let fixed_from_camera = odometry.pose_at(stamp)? * mount.base_from_camera();
+    let fixed_from_camera = odometry.camera_at(stamp)?;
     let there = fixed_from_camera.inverse().transform_point(&motion.position);
     let turn = fixed_from_camera.rotation().transpose();
     let covariance = turn * motion.position_covariance() * turn.transpose();

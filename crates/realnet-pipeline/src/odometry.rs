@@ -52,6 +52,7 @@ impl CameraMount {
 /// it is for is the seconds between two measurements of the target.
 #[derive(Clone, Debug)]
 pub struct OwnOdometry {
+    mount: CameraMount,
     base_from_optical: Pose,
     max_speed: f64,
     poses: Vec<(Stamp, Pose2)>,
@@ -68,6 +69,7 @@ impl OwnOdometry {
     #[must_use]
     pub fn new(mount: &CameraMount, max_speed: f64) -> Self {
         Self {
+            mount: *mount,
             base_from_optical: mount.base_from_optical(),
             max_speed,
             poses: Vec::with_capacity(POSES),
@@ -119,6 +121,12 @@ impl OwnOdometry {
     #[must_use]
     pub fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {
         self.poses.iter().find(|(at, _)| *at == stamp).map(|(_, pose)| *pose)
+    }
+
+    /// Where its camera was at a frame.
+    #[must_use]
+    pub fn camera_at(&self, stamp: Stamp) -> Option<Pose2> {
+        Some(self.pose_at(stamp)? * self.mount.base_from_camera())
     }
 
     /// Where it was at the last frame.

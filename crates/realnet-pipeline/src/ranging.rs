@@ -196,10 +196,7 @@ impl Ranging {
             map.width() as f32 / self.camera.width() as f32,
             map.height() as f32 / self.camera.height() as f32,
         );
-        let scaled = at.map(|at| {
-            let b = at.bbox;
-            BoundingBox::new(b.x0 * sx, b.y0 * sy, b.x1 * sx, b.y1 * sy)
-        });
+        let scaled = at.map(|at| at.bbox.scaled(sx, sy));
         let found = scaled.and_then(|bbox| self.in_box(map, bbox, expected).ok());
         let gate = found.and_then(|_| self.depth_in_box.foreground(&SigmaRule::default()).ok());
         let expected_map = self.tracker.kept() == Some(map.stamp());

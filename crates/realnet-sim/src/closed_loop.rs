@@ -97,7 +97,7 @@ pub fn run_with(
     for index in 0..setup.frames() {
         let exposed = Stamp::of_frame(index, setup.camera.rate_hz);
         world.look(exposed)?;
-        let now = Stamp::from_secs_f64(exposed.secs_f64() + setup.camera.latency_s);
+        let now = exposed.seconds_later(setup.camera.latency_s);
         world.deliver(now);
         let (report, command) = world.decide(exposed, now)?;
         world.write_down(exposed, report.as_ref(), &command);

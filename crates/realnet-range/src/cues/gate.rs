@@ -99,12 +99,7 @@ impl ForegroundGate {
     /// margin grows with the smaller of the two.
     #[must_use]
     pub fn scaled(&self, sx: f32, sy: f32) -> Self {
-        let b = self.bbox;
-        Self {
-            bbox: BoundingBox::new(b.x0 * sx, b.y0 * sy, b.x1 * sx, b.y1 * sy),
-            margin_px: self.margin_px * sx.min(sy),
-            ..*self
-        }
+        Self { bbox: self.bbox.scaled(sx, sy), margin_px: self.margin_px * sx.min(sy), ..*self }
     }
 
     /// Distance to the nearest edge, pixels: positive inside the box. Outside it

@@ -118,7 +118,7 @@ impl<T: Clone> Channel<T> {
         let arrivals = ways.map(|(deviate, lot)| {
             let travel = (mean_s + jitter_s * deviate.clamp(-3.0, 3.0)).max(0.0);
             let seconds = travel + delay + scatter.unwrap_or(0.0) * lot;
-            Stamp::from_nanos(stamp.nanos().saturating_add(Stamp::from_secs_f64(seconds).nanos()))
+            stamp.seconds_later(seconds)
         });
         let [mut first, second] = arrivals;
         if scatter.is_none() {

@@ -23,18 +23,14 @@ impl Schedule {
         if !self.is_due(stamp) {
             return false;
         }
-        let period = Stamp::from_secs_f64(1.0 / rate_hz).nanos();
-        let kept =
-            self.due.map_or(stamp, |due| Stamp::from_nanos(due.nanos().saturating_add(period)));
+        let period = 1.0 / rate_hz;
+        let kept = self.due.map_or(stamp, |due| due.seconds_later(period));
         // One that is late by more than a period does not catch up.
-        let next = if self.due.is_some() && kept > stamp { kept } else { later(stamp, period) };
+        let next =
+            if self.due.is_some() && kept > stamp { kept } else { stamp.seconds_later(period) };
         self.due = Some(next);
         true
     }
-}
-
-fn later(stamp: Stamp, nanos: i64) -> Stamp {
-    Stamp::from_nanos(stamp.nanos().saturating_add(nanos))
 }
 
 #[cfg(test)]

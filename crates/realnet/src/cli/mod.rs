@@ -7,6 +7,7 @@ mod engines;
 mod eval;
 mod failure;
 mod frame_files;
+mod html;
 mod interrupt;
 mod model_args;
 mod output;

@@ -1,7 +1,6 @@
 //! Reports: one page a run that needs nothing but itself, and a page over many runs.
 
 mod chart;
-mod html;
 mod index;
 mod lanes;
 mod plots;
@@ -11,7 +10,7 @@ pub(super) use index::index;
 
 use super::json::RunResult;
 use super::table::{number, percent};
-use html::escape;
+use crate::cli::html::escape;
 use plots::Plots;
 use realnet_sim::{CueFigures, RunLog};
 use std::fmt::Write as _;

@@ -4,7 +4,7 @@
 mod chart;
 
 use super::measure::{Figures, FrameFigures, KeyTarget, View};
-use crate::cli::{detect::make_directory, failure::keep_input};
+use crate::cli::{detect::make_directory, failure::keep_input, html::escape};
 use anyhow::Result;
 use chart::{Chart, density};
 use realnet::{
@@ -311,10 +311,6 @@ fn csv(frames: &[FrameFigures]) -> Result<String> {
         )?;
     }
     Ok(text)
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 const HEAD: &str = r#"<!doctype html>

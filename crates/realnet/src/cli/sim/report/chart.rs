@@ -1,7 +1,7 @@
 //! Charts as inline SVG: each twice, for a page and for a phone, so that letters
 //! have the same size on both; colours are classes of the page's style sheet.
 
-use super::html::escape;
+use crate::cli::html::escape;
 use crate::cli::ticks;
 use std::fmt::Write as _;
 

@@ -1,7 +1,7 @@
 //! The page over many runs.
 
-use super::html::escape;
 use super::{badge, foot, head, page_name};
+use crate::cli::html::escape;
 use crate::cli::sim::json::RunResult;
 use crate::cli::sim::table::{RangeGain, ScenarioSummary, number, percent, summaries};
 use std::fmt::Write as _;

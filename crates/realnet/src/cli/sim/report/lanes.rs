@@ -2,8 +2,8 @@
 //! bound of the speed that occurred.
 
 use super::chart::{Frame, LEFT, RIGHT, Scale, TIME, WIDTHS, time_axis};
-use super::html::escape;
 use super::plots::{periods, span};
+use crate::cli::html::escape;
 use realnet_core::{StopReason, TrackStatus};
 use realnet_sim::RunLog;
 use std::fmt::Write as _;

@@ -1,7 +1,7 @@
 //! The run from above: both tracks with headings, bodies, where they end.
 
 use super::chart::{WIDTHS, trace};
-use super::html::escape;
+use crate::cli::html::escape;
 use crate::cli::ticks;
 use realnet_core::Pose2;
 use realnet_core::nalgebra::Vector2;

@@ -1,7 +1,7 @@
 //! Words on a page.
 
 /// A text that may stand between tags and in the quotes of an attribute.
-pub(super) fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut html = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
