@@ -21,6 +21,7 @@
 mod follower;
 mod odometry;
 mod ranging;
+mod ring;
 mod sight;
 
 pub use follower::{Follower, FollowerError, FollowerOptions, FrameReport};

@@ -1,5 +1,6 @@
 //! The robot's own place, frame by frame.
 
+use crate::ring::{Ring, Stamped};
 use realnet_core::nalgebra::{UnitQuaternion, Vector3};
 use realnet_core::{Pose, Pose2, Stamp};
 use realnet_range::motion::Motion;
@@ -47,6 +48,12 @@ impl CameraMount {
     }
 }
 
+impl Stamped for (Stamp, Pose2) {
+    fn stamp(&self) -> Stamp {
+        self.0
+    }
+}
+
 /// The robot's own place in a plane that stands still, from the motion of the
 /// background, or from its commands while that is unknown. It drifts, slowly: what
 /// it is for is the seconds between two measurements of the target.
@@ -55,8 +62,7 @@ pub struct OwnOdometry {
     mount: CameraMount,
     base_from_optical: Pose,
     max_speed: f64,
-    poses: Vec<(Stamp, Pose2)>,
-    oldest: usize,
+    poses: Ring<(Stamp, Pose2), POSES>,
     last: Option<(Stamp, Pose2)>,
     /// The depth map's frame that the last motion was from, and the camera's place
     /// in it at the last frame.
@@ -72,8 +78,7 @@ impl OwnOdometry {
             mount: *mount,
             base_from_optical: mount.base_from_optical(),
             max_speed,
-            poses: Vec::with_capacity(POSES),
-            oldest: 0,
+            poses: Ring::new(),
             last: None,
             then: None,
         }
@@ -104,23 +109,14 @@ impl OwnOdometry {
             Some((last, pose)) => pose.driven(speed, yaw_rate, stamp.seconds_since(last).max(0.0)),
             None => Pose2::IDENTITY,
         };
-        self.remember(stamp, pose);
-    }
-
-    fn remember(&mut self, stamp: Stamp, pose: Pose2) {
         self.last = Some((stamp, pose));
-        if self.poses.len() < POSES {
-            self.poses.push((stamp, pose));
-        } else if let Some(slot) = self.poses.get_mut(self.oldest) {
-            *slot = (stamp, pose);
-            self.oldest = (self.oldest + 1) % POSES;
-        }
+        self.poses.push((stamp, pose));
     }
 
     /// Where the robot was at a frame.
     #[must_use]
     pub fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {
-        self.poses.iter().find(|(at, _)| *at == stamp).map(|(_, pose)| *pose)
+        self.poses.get(stamp).map(|(_, pose)| *pose)
     }
 
     /// Where its camera was at a frame.

@@ -1,8 +1,9 @@
 //! The target's box in every frame, from detections that come late.
 
+use crate::ring::{Ring, Stamped};
 use realnet_core::{BoundingBox, Detection, Stamp};
 use realnet_range::carry::{BoxCarrier, BoxMotion, CarryError, CarryOptions};
-use realnet_vision::{Pyramid, Window};
+use realnet_vision::Pyramid;
 
 /// Frames that are kept for late detections.
 const FRAMES: usize = 12;
@@ -132,11 +133,8 @@ struct Anchor {
 pub struct Sight {
     options: SightOptions,
     carrier: BoxCarrier,
-    frames: Vec<Pyramid>,
-    /// Index of the oldest frame in `frames`, which is a ring once it is full.
-    oldest: usize,
-    boxes: Vec<TargetBox>,
-    oldest_box: usize,
+    frames: Ring<Pyramid, FRAMES>,
+    boxes: Ring<TargetBox, BOXES>,
     anchor: Option<Anchor>,
     now: Option<Stamp>,
     /// Since when the detector looks and does not find the box.
@@ -156,10 +154,8 @@ impl Sight {
         Ok(Self {
             options,
             carrier: BoxCarrier::new(options.carry)?,
-            frames: Vec::with_capacity(FRAMES),
-            oldest: 0,
-            boxes: Vec::with_capacity(BOXES),
-            oldest_box: 0,
+            frames: Ring::new(),
+            boxes: Ring::new(),
             anchor: None,
             now: None,
             unsupported_since: None,
@@ -172,14 +168,7 @@ impl Sight {
     pub fn frame(&mut self, picture: &Pyramid) -> Option<TargetBox> {
         let stamp = picture.stamp();
         self.leave_behind();
-        if self.frames.len() < FRAMES {
-            let mut copy = Pyramid::new(0, Window::default());
-            copy.copy_from(picture);
-            self.frames.push(copy);
-        } else if let Some(slot) = self.frames.get_mut(self.oldest) {
-            slot.copy_from(picture);
-            self.oldest = (self.oldest + 1) % FRAMES;
-        }
+        self.frames.put(|place| place.copy_from(picture), || picture.clone());
         self.now = Some(stamp);
         let carried = self.carry_to(stamp);
         if let Some(carried) = carried {
@@ -191,13 +180,10 @@ impl Sight {
     /// The anchor's frame is about to be overwritten: the newest carried box becomes
     /// the anchor.
     fn leave_behind(&mut self) {
-        if self.frames.len() < FRAMES {
-            return;
-        }
-        let leaving = self.frames.get(self.oldest).map(Pyramid::stamp);
-        if self.anchor.is_some_and(|anchor| Some(anchor.at.stamp) <= leaving) {
+        let Some(leaving) = self.frames.leaving().map(Pyramid::stamp) else { return };
+        if self.anchor.is_some_and(|anchor| anchor.at.stamp <= leaving) {
             self.anchor = self.anchor.and_then(|anchor| {
-                let at = self.box_at(anchor.carried_to).filter(|at| Some(at.stamp) > leaving)?;
+                let at = self.box_at(anchor.carried_to).filter(|at| at.stamp > leaving)?;
                 Some(Anchor { at, motion: BoxMotion::NONE, carried_to: at.stamp })
             });
         }
@@ -215,7 +201,7 @@ impl Sight {
         let ahead = now.seconds_since(anchor.at.stamp);
         let prediction =
             if seconds > 0.0 { stretched(anchor.motion, ahead / seconds) } else { BoxMotion::NONE };
-        let (from, to) = (find(&self.frames, anchor.at.stamp)?, find(&self.frames, now)?);
+        let (from, to) = (self.frames.get(anchor.at.stamp)?, self.frames.get(now)?);
         match self.carrier.carry(from, to, &anchor.at.bbox, prediction) {
             Ok(carried) => {
                 let hypot = |a: f32, b: f32| a.hypot(b);
@@ -251,7 +237,7 @@ impl Sight {
         allowed: impl Fn(&Detection) -> bool,
         plausible: impl Fn(&Detection) -> Option<f64>,
     ) -> Option<TargetBox> {
-        let known = self.box_at(stamp).is_some() || find(&self.frames, stamp).is_some();
+        let known = self.box_at(stamp).is_some() || self.frames.get(stamp).is_some();
         if !known || self.anchor.is_some_and(|anchor| anchor.at.detected >= stamp) {
             return None; // of no frame that is remembered, or older than what is known
         }
@@ -295,7 +281,7 @@ impl Sight {
             },
             None => (BoxMotion::NONE, stamp),
         };
-        if find(&self.frames, stamp).is_some() {
+        if self.frames.get(stamp).is_some() {
             self.anchor = Some(Anchor { at: found, motion, carried_to });
         }
         self.remember(found);
@@ -326,7 +312,7 @@ impl Sight {
     /// The target's box on a frame, as far as it was seen or carried there.
     #[must_use]
     pub fn box_at(&self, stamp: Stamp) -> Option<TargetBox> {
-        self.boxes.iter().find(|at| at.stamp == stamp).copied()
+        self.boxes.get(stamp).copied()
     }
 
     /// The target's box in the present frame.
@@ -355,19 +341,23 @@ impl Sight {
     }
 
     fn remember(&mut self, at: TargetBox) {
-        if let Some(known) = self.boxes.iter_mut().find(|known| known.stamp == at.stamp) {
-            *known = at;
-        } else if self.boxes.len() < BOXES {
-            self.boxes.push(at);
-        } else if let Some(slot) = self.boxes.get_mut(self.oldest_box) {
-            *slot = at;
-            self.oldest_box = (self.oldest_box + 1) % BOXES;
+        match self.boxes.get_mut(at.stamp) {
+            Some(known) => *known = at,
+            None => self.boxes.push(at),
         }
     }
 }
 
-fn find(frames: &[Pyramid], stamp: Stamp) -> Option<&Pyramid> {
-    frames.iter().find(|frame| frame.stamp() == stamp)
+impl Stamped for Pyramid {
+    fn stamp(&self) -> Stamp {
+        Self::stamp(self)
+    }
+}
+
+impl Stamped for TargetBox {
+    fn stamp(&self) -> Stamp {
+        self.stamp
+    }
 }
 
 fn best<'a>(
