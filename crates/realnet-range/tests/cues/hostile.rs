@@ -8,9 +8,15 @@ use realnet_range::cues::{
     GroundRange, PeakRule, SigmaRule, SizeRange, Uncertain,
 };
 
+/// proptest's own ranges of `f32` trip over their rounding, in a debug assertion, about once
+/// in ten million draws.
+fn span(low: f64, high: f64) -> impl Strategy<Value = f32> {
+    (low..high).prop_map(|value| value as f32)
+}
+
 fn edge() -> impl Strategy<Value = f32> {
     prop_oneof![
-        8 => -20.0..80.0f32,
+        8 => span(-20.0, 80.0),
         1 => any::<f32>(),
         1 => prop::sample::select(vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, 1e30]),
     ]
@@ -18,7 +24,7 @@ fn edge() -> impl Strategy<Value = f32> {
 
 fn depth() -> impl Strategy<Value = f32> {
     prop_oneof![
-        8 => 0.3..9.0f32,
+        8 => span(0.3, 9.0),
         2 => Just(2.0),
         1 => any::<f32>(),
         1 => prop::sample::select(vec![f32::NAN, f32::INFINITY, 0.0, -1.0, f32::MIN_POSITIVE, f32::MAX, 1e-45]),
