@@ -1,6 +1,7 @@
 //! The last word: whether the vehicle may move at all.
 
 use crate::check::usable;
+use crate::check::{not_negative, positive};
 use crate::limits::command;
 use crate::{
     ControlInput, ControlOptions, Drive, Gap, Motion, OptionError, Search, VehicleOptions,
@@ -46,10 +47,10 @@ impl Default for GovernorOptions {
 
 impl GovernorOptions {
     pub(crate) fn check(&self) -> Result<(), OptionError> {
-        OptionError::not_negative("governor.stopping_radius_m", self.stopping_radius_m)?;
-        OptionError::not_negative("governor.restart_margin_m", self.restart_margin_m)?;
-        OptionError::positive("governor.stale_after_s", self.stale_after_s)?;
-        OptionError::positive("governor.max_relative_std", self.max_relative_std)
+        not_negative("governor.stopping_radius_m", self.stopping_radius_m)?;
+        not_negative("governor.restart_margin_m", self.restart_margin_m)?;
+        positive("governor.stale_after_s", self.stale_after_s)?;
+        positive("governor.max_relative_std", self.max_relative_std)
     }
 }
 

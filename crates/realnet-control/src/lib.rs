@@ -87,7 +87,6 @@ mod pursuit;
 mod speed;
 mod vehicle;
 
-pub use check::OptionError;
 pub use controller::{ControlOptions, Controller, Telemetry};
 pub use governor::{Governor, GovernorOptions, StopAction};
 pub use input::{ControlInput, Gap};
@@ -95,5 +94,6 @@ pub use limits::{Limiter, Motion};
 pub use lost::{LostOptions, Phase, Search};
 pub use predictor::VehiclePredictor;
 pub use pursuit::{Aim, PursuitOptions, PursuitRule, ViewLimit, aim};
+pub use realnet_core::OptionError;
 pub use speed::{GapControl, GapController, OwnMotion, SpeedBound, SpeedBounds, SpeedOptions};
 pub use vehicle::{DeadBand, Drive, VehicleOptions};

@@ -1,6 +1,7 @@
 //! What to do while the target is not seen, in seconds.
 
 use crate::OptionError;
+use crate::check::positive;
 use realnet_core::{Stamp, TargetState, TrackStatus};
 
 /// How a robot looks for a target that it lost.
@@ -67,7 +68,7 @@ impl LostOptions {
         match self.search {
             Search::Stand => Ok(()),
             Search::Turn { yaw_rate_rad_s } => {
-                OptionError::positive("lost.search.yaw_rate_rad_s", yaw_rate_rad_s)
+                positive("lost.search.yaw_rate_rad_s", yaw_rate_rad_s)
             }
         }
     }

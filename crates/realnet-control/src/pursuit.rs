@@ -1,6 +1,7 @@
 //! Which way to turn: pure pursuit.
 
 use crate::OptionError;
+use crate::check::{not_negative, positive};
 use realnet_core::nalgebra::Vector2;
 
 /// What pure pursuit pursues.
@@ -77,17 +78,17 @@ impl PursuitOptions {
             (0.01..=1000.0).contains(&least),
             "at least 0.01 m, at most 1000 m",
         )?;
-        OptionError::not_negative("pursuit.lookahead_s", self.lookahead_s)?;
+        not_negative("pursuit.lookahead_s", self.lookahead_s)?;
         OptionError::check(
             "pursuit.max_lookahead_m",
             self.max_lookahead_m,
             (least..=1000.0).contains(&self.max_lookahead_m),
             "at least min_lookahead_m, at most 1000 m",
         )?;
-        OptionError::positive("pursuit.max_trail_jump_m", self.max_trail_jump_m)?;
+        positive("pursuit.max_trail_jump_m", self.max_trail_jump_m)?;
         self.view.as_ref().map_or(Ok(()), ViewLimit::check)?;
-        OptionError::not_negative("pursuit.facing_gain", self.facing_gain)?;
-        OptionError::positive("pursuit.facing_until_m_s", self.facing_until_m_s)
+        not_negative("pursuit.facing_gain", self.facing_gain)?;
+        positive("pursuit.facing_until_m_s", self.facing_until_m_s)
     }
 
     /// The look-ahead distance at a speed, metres.
@@ -120,8 +121,8 @@ impl ViewLimit {
     }
 
     fn check(&self) -> Result<(), OptionError> {
-        OptionError::not_negative("pursuit.view.camera_forward_m", self.camera_forward_m)?;
-        OptionError::not_negative("pursuit.view.from_rad", self.from_rad)?;
+        not_negative("pursuit.view.camera_forward_m", self.camera_forward_m)?;
+        not_negative("pursuit.view.from_rad", self.from_rad)?;
         OptionError::check(
             "pursuit.view.until_rad",
             self.until_rad,

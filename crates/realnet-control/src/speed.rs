@@ -1,5 +1,6 @@
 //! How fast to drive: the gap's PID and what bounds the speed.
 
+use crate::check::{not_negative, positive, share};
 use crate::{Gap, OptionError, VehicleOptions};
 
 /// Options of the speed control.
@@ -87,20 +88,17 @@ impl SpeedOptions {
             let ok = (0.0..=100.0).contains(&value);
             OptionError::check(name, value, ok, "at least 0, at most 100")?;
         }
-        OptionError::not_negative("speed.smoothing_s", self.smoothing_s)?;
-        OptionError::not_negative("speed.max_integral_m_s", self.max_integral_m_s)?;
-        OptionError::not_negative("speed.integral_band_m", self.integral_band_m)?;
-        OptionError::not_negative("speed.restart_error_m", self.restart_error_m)?;
-        OptionError::not_negative("speed.restart_speed_m_s", self.restart_speed_m_s)?;
-        OptionError::positive(
-            "speed.max_lateral_acceleration_m_s2",
-            self.max_lateral_acceleration_m_s2,
-        )?;
-        OptionError::positive("speed.target_deceleration_m_s2", self.target_deceleration_m_s2)?;
-        OptionError::share("speed.brake_share", self.brake_share)?;
-        OptionError::not_negative("speed.perception_latency_s", self.perception_latency_s)?;
-        OptionError::not_negative("speed.range_sigmas", self.range_sigmas)?;
-        OptionError::not_negative("speed.speed_sigmas", self.speed_sigmas)
+        not_negative("speed.smoothing_s", self.smoothing_s)?;
+        not_negative("speed.max_integral_m_s", self.max_integral_m_s)?;
+        not_negative("speed.integral_band_m", self.integral_band_m)?;
+        not_negative("speed.restart_error_m", self.restart_error_m)?;
+        not_negative("speed.restart_speed_m_s", self.restart_speed_m_s)?;
+        positive("speed.max_lateral_acceleration_m_s2", self.max_lateral_acceleration_m_s2)?;
+        positive("speed.target_deceleration_m_s2", self.target_deceleration_m_s2)?;
+        share("speed.brake_share", self.brake_share)?;
+        not_negative("speed.perception_latency_s", self.perception_latency_s)?;
+        not_negative("speed.range_sigmas", self.range_sigmas)?;
+        not_negative("speed.speed_sigmas", self.speed_sigmas)
     }
 
     /// The greatest speed at which the robot can still stop outside of the stopping

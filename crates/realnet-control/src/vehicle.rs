@@ -1,6 +1,7 @@
 //! What a vehicle can do, and how late it does it.
 
 use crate::OptionError;
+use crate::check::{not_negative, positive, share};
 
 /// How a vehicle turns.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,17 +93,14 @@ impl Drive {
     fn check(&self) -> Result<(), OptionError> {
         match *self {
             Self::Ackermann { wheelbase_m, max_steering_rad, max_steering_rate_rad_s } => {
-                OptionError::positive("vehicle.drive.wheelbase_m", wheelbase_m)?;
+                positive("vehicle.drive.wheelbase_m", wheelbase_m)?;
                 OptionError::check(
                     "vehicle.drive.max_steering_rad",
                     max_steering_rad,
                     max_steering_rad > 0.0 && max_steering_rad <= 1.4,
                     "above 0, at most 1.4",
                 )?;
-                OptionError::positive(
-                    "vehicle.drive.max_steering_rate_rad_s",
-                    max_steering_rate_rad_s,
-                )
+                positive("vehicle.drive.max_steering_rate_rad_s", max_steering_rate_rad_s)
             }
             Self::Differential {
                 track_m,
@@ -110,13 +108,10 @@ impl Drive {
                 max_yaw_rate_rad_s,
                 max_yaw_acceleration_rad_s2,
             } => {
-                OptionError::positive("vehicle.drive.track_m", track_m)?;
-                OptionError::positive("vehicle.drive.max_wheel_speed_m_s", max_wheel_speed_m_s)?;
-                OptionError::positive("vehicle.drive.max_yaw_rate_rad_s", max_yaw_rate_rad_s)?;
-                OptionError::positive(
-                    "vehicle.drive.max_yaw_acceleration_rad_s2",
-                    max_yaw_acceleration_rad_s2,
-                )
+                positive("vehicle.drive.track_m", track_m)?;
+                positive("vehicle.drive.max_wheel_speed_m_s", max_wheel_speed_m_s)?;
+                positive("vehicle.drive.max_yaw_rate_rad_s", max_yaw_rate_rad_s)?;
+                positive("vehicle.drive.max_yaw_acceleration_rad_s2", max_yaw_acceleration_rad_s2)
             }
         }
     }
@@ -214,12 +209,12 @@ impl VehicleOptions {
 
     pub(crate) fn check(&self) -> Result<(), OptionError> {
         self.drive.check()?;
-        OptionError::not_negative("vehicle.front_m", self.front_m)?;
-        OptionError::positive("vehicle.max_speed_m_s", self.max_speed_m_s)?;
+        not_negative("vehicle.front_m", self.front_m)?;
+        positive("vehicle.max_speed_m_s", self.max_speed_m_s)?;
         let reverse = self.max_reverse_speed_m_s;
-        OptionError::not_negative("vehicle.max_reverse_speed_m_s", reverse)?;
-        OptionError::positive("vehicle.max_acceleration_m_s2", self.max_acceleration_m_s2)?;
-        OptionError::positive("vehicle.max_deceleration_m_s2", self.max_deceleration_m_s2)?;
+        not_negative("vehicle.max_reverse_speed_m_s", reverse)?;
+        positive("vehicle.max_acceleration_m_s2", self.max_acceleration_m_s2)?;
+        positive("vehicle.max_deceleration_m_s2", self.max_deceleration_m_s2)?;
         let band = self.dead_band;
         OptionError::check(
             "vehicle.dead_band.min_speed_m_s",
@@ -235,14 +230,14 @@ impl VehicleOptions {
                 "above dead_band.min_speed_m_s",
             )?;
         }
-        OptionError::share("vehicle.dead_band.start_share", band.start_share)?;
+        share("vehicle.dead_band.start_share", band.start_share)?;
         OptionError::check(
             "vehicle.dead_band.stop_share",
             band.stop_share,
             band.stop_share >= 0.0 && band.stop_share <= band.start_share,
             "at least 0 and at most start_share",
         )?;
-        OptionError::not_negative("vehicle.dead_band.stand_s", band.stand_s)?;
+        not_negative("vehicle.dead_band.stand_s", band.stand_s)?;
         for (name, value) in [
             ("vehicle.dead_time_s", self.dead_time_s),
             ("vehicle.speed_lag_s", self.speed_lag_s),

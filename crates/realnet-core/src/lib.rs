@@ -16,6 +16,7 @@
 //! | [`Pose`] | a rigid transform, named `a_from_b` |
 //! | [`Pose2`] | a rigid transform of the ground plane |
 //! | [`TargetState`] | where the target is, seen from the robot, or that it is unknown |
+//! | [`OptionError`] | an option that does not fit, with its rule |
 //! | [`DriveCommand`] | speed and steering, or a stop with its [`StopReason`] |
 //!
 //! Frames of reference follow REP-103 and REP-105: a body has x forward, y
@@ -37,6 +38,7 @@ mod depth;
 mod detection;
 mod drive;
 mod frame;
+mod option;
 mod plane;
 mod pose;
 mod stamp;
@@ -49,6 +51,7 @@ pub use depth::{DepthMap, DepthMapError};
 pub use detection::Detection;
 pub use drive::{DriveCommand, StopReason, TargetEstimate, TargetState, TrackStatus};
 pub use frame::{Frame, FrameError, PixelFormat};
+pub use option::OptionError;
 pub use plane::Pose2;
 pub use pose::{Pose, PoseError, body_from_optical};
 pub use stamp::Stamp;

@@ -2,8 +2,8 @@
 
 use super::depth_in_box::BoxDepth;
 use super::ground::GroundEstimate;
-use super::noise::OptionError;
 use super::size::SizeEstimate;
+use realnet_core::OptionError;
 use thiserror::Error;
 
 /// Where a range comes from.

@@ -1,6 +1,6 @@
 //! How the camera looks at the ground.
 
-use super::noise::OptionError;
+use realnet_core::OptionError;
 use realnet_core::nalgebra::Vector3;
 use realnet_core::{CameraError, CameraModel};
 

@@ -2,8 +2,9 @@
 
 use super::gate::ForegroundGate;
 use super::histogram::{DepthHistogram, FocusInterval, PeakRule, Sample};
-use super::noise::{DepthNoise, OptionError};
+use super::noise::DepthNoise;
 use super::sigma_rule::{Foreground, SigmaRule};
+use realnet_core::OptionError;
 use realnet_core::{BoundingBox, DepthMap};
 use thiserror::Error;
 

@@ -1,7 +1,7 @@
 //! Range from the ground plane.
 
 use super::attitude::{Attitude, MAX_ANGLE, Uncertain, ray_derivatives};
-use super::noise::OptionError;
+use realnet_core::OptionError;
 use realnet_core::nalgebra::Point3;
 use realnet_core::{BoundingBox, CameraError, CameraModel};
 use thiserror::Error;

@@ -1,8 +1,9 @@
 //! The ground plane in a depth map.
 
 use super::attitude::{Attitude, MAX_ANGLE, Uncertain};
-use super::noise::{DepthNoise, OptionError};
+use super::noise::DepthNoise;
 use super::pitch::{PitchMeasurement, PitchSource};
+use realnet_core::OptionError;
 use realnet_core::nalgebra::{Matrix3, Vector3};
 use realnet_core::{BoundingBox, CameraError, CameraModel, DepthMap};
 use thiserror::Error;

@@ -56,10 +56,11 @@ pub use gate::{ForegroundGate, Side};
 pub use ground::{GroundEstimate, GroundRange, GroundRangeError};
 pub use ground_fit::{GroundFit, GroundFitError, GroundFitOptions, GroundPlane, GroundPrior};
 pub use histogram::{DepthHistogram, FocusInterval, PeakRule};
-pub use noise::{DepthNoise, OptionError};
+pub use noise::DepthNoise;
 pub use pitch::{
     HorizonAttitude, PitchError, PitchFilter, PitchFilterOptions, PitchMeasurement, PitchSource,
     PitchUpdate, attitude_from_horizon, pitch_from_translation,
 };
+pub use realnet_core::OptionError;
 pub use sigma_rule::{Foreground, SigmaRule};
 pub use size::{Dimension, SizeEstimate, SizeRange, SizeRangeError};

@@ -1,30 +1,6 @@
-//! What is known about the error of a depth source, and options that do not fit.
+//! What is known about the error of a depth source.
 
-use thiserror::Error;
-
-/// A number given to a cue that it cannot work with.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("{name} is {value}, it must be {rule}")]
-pub struct OptionError {
-    /// Name of the option.
-    pub name: &'static str,
-    /// What was given.
-    pub value: f64,
-    /// What is accepted, in words.
-    pub rule: &'static str,
-}
-
-impl OptionError {
-    /// `value` when it is finite and `ok`, otherwise the error.
-    pub(crate) fn check(
-        name: &'static str,
-        value: f64,
-        ok: bool,
-        rule: &'static str,
-    ) -> Result<(), Self> {
-        if ok && value.is_finite() { Ok(()) } else { Err(Self { name, value, rule }) }
-    }
-}
+use realnet_core::OptionError;
 
 /// Standard deviation of the error that a depth source makes on a whole object:
 /// scale, offset, the network's taste. It is common to the pixels of one map, so

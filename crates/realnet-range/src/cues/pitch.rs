@@ -1,7 +1,7 @@
 //! The camera's pitch against the ground, estimated while driving.
 
 use super::attitude::{Attitude, MAX_ANGLE, Uncertain, ray_derivatives};
-use super::noise::OptionError;
+use realnet_core::OptionError;
 use realnet_core::nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use realnet_core::{CameraError, CameraModel, Pose};
 use thiserror::Error;

@@ -3,7 +3,8 @@
 use super::depth_in_box::{BoxDepth, mean_and_std, within};
 use super::gate::ForegroundGate;
 use super::histogram::{FocusInterval, Sample};
-use super::noise::{DepthNoise, OptionError};
+use super::noise::DepthNoise;
+use realnet_core::OptionError;
 
 /// Rounds of cutting and estimating; it settles in three to six.
 const MAX_ROUNDS: usize = 20;

@@ -1,7 +1,7 @@
 //! Range from the known size of the target.
 
 use super::attitude::{Attitude, MAX_ANGLE, Uncertain};
-use super::noise::OptionError;
+use realnet_core::OptionError;
 use realnet_core::{BoundingBox, CameraError, CameraModel};
 use thiserror::Error;
 
