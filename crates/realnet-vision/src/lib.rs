@@ -33,7 +33,7 @@ mod letterbox;
 mod pyramid;
 mod resize;
 mod search;
-mod simd;
+pub mod simd;
 #[cfg(test)]
 mod testing;
 mod triangle;

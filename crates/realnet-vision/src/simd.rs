@@ -1,4 +1,4 @@
-//! Which vector instructions a kernel may use.
+//! Which vector instructions a kernel may use, here and in other rooms with loops over pixels.
 
 /// A set of vector instructions that was found on this processor.
 ///
@@ -6,26 +6,33 @@
 /// the rest have hand-written code. All of them return the same bits. On
 /// aarch64 the portable code is compiled with NEON, which every such processor
 /// has.
+///
+/// The sets beyond [`Simd::Portable`] come from [`Simd::found`] alone: elsewhere they
+/// cannot be made, so that code for them never runs where it must not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Simd {
+pub enum Simd {
     /// What the compilation target guarantees.
     Portable,
     /// AVX2.
     #[cfg(target_arch = "x86_64")]
+    #[non_exhaustive]
     Avx2,
     /// AVX-512 F, BW, VL, DQ and VNNI.
     #[cfg(target_arch = "x86_64")]
+    #[non_exhaustive]
     Avx512,
 }
 
 impl Simd {
     /// The widest set this processor has.
-    pub(crate) fn best() -> Self {
+    #[must_use]
+    pub fn best() -> Self {
         Self::found().last().copied().unwrap_or(Self::Portable)
     }
 
     /// The sets this processor has, the widest last.
-    pub(crate) fn found() -> &'static [Self] {
+    #[must_use]
+    pub fn found() -> &'static [Self] {
         #[cfg(target_arch = "x86_64")]
         {
             let avx2 = is_x86_feature_detected!("avx2");
@@ -50,7 +57,10 @@ impl Simd {
 /// instruction set, for the compiler to vectorise.
 ///
 /// Inner loops must not call what may not be inlined: `array::map`, for one,
-/// stays a function of its own, compiled without the instruction set.
+/// stays a function of its own, compiled without the instruction set. What is called
+/// has to be `#[inline(always)]`.
+#[macro_export]
+#[doc(hidden)]
 macro_rules! multiversion {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$meta])*
@@ -71,12 +81,12 @@ macro_rules! multiversion {
                 $crate::simd::Simd::Portable => portable($($arg),*),
                 // SAFETY: a `Simd` other than `Portable` comes from `Simd::found`.
                 #[cfg(target_arch = "x86_64")]
-                $crate::simd::Simd::Avx2 => unsafe { avx2($($arg),*) },
+                $crate::simd::Simd::Avx2 { .. } => unsafe { avx2($($arg),*) },
                 // SAFETY: as above.
                 #[cfg(target_arch = "x86_64")]
-                $crate::simd::Simd::Avx512 => unsafe { avx512($($arg),*) },
+                $crate::simd::Simd::Avx512 { .. } => unsafe { avx512($($arg),*) },
             }
         }
     };
 }
-pub(crate) use multiversion;
+pub use multiversion;

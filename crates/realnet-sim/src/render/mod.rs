@@ -39,7 +39,6 @@ mod renderer;
 mod sensor;
 mod shade;
 mod shadow;
-mod simd;
 mod surface;
 mod texture;
 mod truth;

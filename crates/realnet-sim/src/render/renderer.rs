@@ -7,7 +7,6 @@ use super::edges::Blends;
 use super::sensor::{Development, Exposed};
 use super::shade::{Sky, Stage, draw_tile};
 use super::shadow::{Outline, Shadow};
-use super::simd::Simd;
 use super::surface::{Surface, View};
 use super::texture::Atlas;
 use super::truth::Rendered;
@@ -17,6 +16,7 @@ use crate::scene::{Mesh, Scene};
 use crate::{VehicleKind, VehicleState};
 use realnet_core::nalgebra::{UnitQuaternion, Vector3};
 use realnet_core::{DepthMap, Frame, Pose, Pose2, Stamp};
+use realnet_vision::simd::Simd;
 
 /// Instance of what moves by itself.
 const MOVER: u8 = u8::MAX;

@@ -2,11 +2,11 @@
 
 use super::camera::{Exposure, Sensor};
 use super::canvas::Rays;
-use super::simd::multiversion;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use realnet_core::CameraModel;
+use realnet_vision::simd::multiversion;
 
 /// Normal deviates that are kept; rows of a picture start at random places of it.
 const NOISE: usize = 1 << 16;
@@ -99,7 +99,7 @@ impl Development {
     /// Writes the bytes of a picture.
     pub(super) fn develop(
         &self,
-        simd: super::simd::Simd,
+        simd: realnet_vision::simd::Simd,
         sensor: &Sensor,
         rays: &Rays,
         exposed: &Exposed<'_>,

@@ -7,10 +7,10 @@
 use super::bins::Entry;
 use super::canvas::{Canvas, Lane, Rays, TILE, TILE_H, TILE_W};
 use super::shadow::Shadow;
-use super::simd::multiversion;
 use super::surface::Surface;
 use super::texture::{Atlas, LEVELS, SIDE, WORDS, Words};
 use crate::scene::mesh::Colour;
+use realnet_vision::simd::multiversion;
 
 /// A decal is drawn where its depth is within this share of what is there.
 const DECAL: f32 = 1.0 + 2e-3;

@@ -1,11 +1,11 @@
 //! What only the inside shows.
 
-use super::simd::Simd;
 use super::texture::{Atlas, LEVEL_START, LEVELS, SIDE, Texture};
 use super::{Actor, Rendered, Renderer, Sensor, Shot, SimCamera};
 use crate::scene::{Scene, SceneKind, SceneSpec};
 use crate::{VehicleKind, VehicleState};
 use realnet_core::{CameraModel, Distortion, Intrinsics, Pose2};
+use realnet_vision::simd::Simd;
 
 fn renderer(sensor: Sensor) -> Renderer {
     let intrinsics = Intrinsics { fx: 260.0, fy: 260.0, cx: 150.0, cy: 80.0 };
