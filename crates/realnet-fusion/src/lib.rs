@@ -158,7 +158,7 @@
 mod cubic;
 mod gaussian;
 mod late;
-mod target;
+mod tracking;
 
 pub use cubic::{Cubic, CubicError, CubicTrajectory, TrajectoryPoint};
 pub use gaussian::{Gaussian, GaussianError};
@@ -166,7 +166,7 @@ pub use late::{
     Arrival, BadMeasurement, Estimate, LateError, LateFilter, LateOptions, Model, OptionsError,
     Publisher,
 };
-pub use target::{
+pub use tracking::{
     DirectionSource, Motion, Outcome, RangeSource, Reading, SharedError, Source, StatusTimes,
     TargetFilter, TargetMeasurement, TargetOptions, Track, TrackRange, TrailPoint,
 };

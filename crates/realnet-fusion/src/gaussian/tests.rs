@@ -18,6 +18,17 @@ fn close(a: &Matrix4<f64>, b: &Matrix4<f64>) -> bool {
     (a - b).norm() <= 1e-9 * (1.0 + a.norm())
 }
 
+/// The covariance after a measurement along `row`, by Joseph's form, which holds for any gain.
+fn joseph(
+    covariance: &Matrix4<f64>,
+    gain: &Vector4<f64>,
+    row: &Vector4<f64>,
+    variance: f64,
+) -> Matrix4<f64> {
+    let left = Matrix4::identity() - gain * row.transpose();
+    left * covariance * left.transpose() + gain * variance * gain.transpose()
+}
+
 proptest! {
     #[test]
     fn factors_multiply_back(root in any_matrix(3.0)) {
@@ -38,10 +49,7 @@ proptest! {
         let spread = gaussian.update(residual, &row, variance).unwrap();
         prop_assert!((spread - along - variance).abs() < 1e-9 * spread);
         let gain = covariance * row / spread;
-        let joseph = Matrix4::identity() - gain * row.transpose();
-        let expected = joseph * covariance * joseph.transpose()
-            + gain * variance * gain.transpose();
-        prop_assert!(close(&gaussian.covariance(), &expected));
+        prop_assert!(close(&gaussian.covariance(), &joseph(&covariance, &gain, &row, variance)));
         prop_assert!((gaussian.mean() - (mean + gain * residual)).norm() < 1e-9);
     }
 
@@ -55,11 +63,7 @@ proptest! {
         gaussian.update_only(residual, &row, variance, |i| i < count).unwrap();
         let mut gain = covariance * row / ((row.transpose() * covariance * row).x + variance);
         gain.rows_range_mut(count..).fill(0.0);
-        // Joseph's form holds for any gain.
-        let joseph = Matrix4::identity() - gain * row.transpose();
-        let expected = joseph * covariance * joseph.transpose()
-            + gain * variance * gain.transpose();
-        prop_assert!(close(&gaussian.covariance(), &expected));
+        prop_assert!(close(&gaussian.covariance(), &joseph(&covariance, &gain, &row, variance)));
         prop_assert!((gaussian.mean() - (mean + gain * residual)).norm() < 1e-9);
     }
 

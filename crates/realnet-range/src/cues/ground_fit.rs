@@ -230,20 +230,17 @@ impl GroundFit {
     /// [`OptionError`] when an option is out of its range.
     pub fn new(options: GroundFitOptions) -> Result<Self, OptionError> {
         let check = OptionError::check;
+        let positive = |name, value: f64| check(name, value, value > 0.0, "greater than 0");
+        let not_negative = |name, value: f64| check(name, value, value >= 0.0, "at least 0");
         options.pixel_noise.check()?;
-        let noise = options.pixel_noise.std_at(1.0);
-        check("pixel_noise at 1 m", noise, noise > 0.0, "greater than 0")?;
-        let correlation = options.correlation_px;
-        check("correlation_px", correlation, correlation >= 0.0, "at least 0")?;
-        let flatness = options.flatness_rad;
-        check("flatness_rad", flatness, flatness >= 0.0, "at least 0")?;
+        positive("pixel_noise at 1 m", options.pixel_noise.std_at(1.0))?;
+        not_negative("correlation_px", options.correlation_px)?;
+        not_negative("flatness_rad", options.flatness_rad)?;
         check("max_samples", options.max_samples as f64, options.max_samples >= 64, "at least 64")?;
         check("min_pixels", options.min_pixels as f64, options.min_pixels >= 8, "at least 8")?;
         check("min_share", options.min_share, (0.0..=1.0).contains(&options.min_share), "0 to 1")?;
-        let limit = options.max_pitch_std_rad;
-        check("max_pitch_std_rad", limit, limit > 0.0, "greater than 0")?;
-        // How many pixels could be ground changes from map to map; "about" is within a
-        // quarter.
+        positive("max_pitch_std_rad", options.max_pitch_std_rad)?;
+        // The grid gives about so many, by less than a quarter more.
         let room = options.max_samples.min(1 << 16) / 4 * 5;
         let (points, residuals) = (Vec::with_capacity(room), Vec::with_capacity(room));
         Ok(Self { options, points, residuals })

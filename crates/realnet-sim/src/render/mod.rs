@@ -35,6 +35,7 @@ mod bins;
 mod camera;
 mod canvas;
 mod edges;
+mod rendered;
 mod renderer;
 mod sensor;
 mod shade;
@@ -44,8 +45,8 @@ mod texture;
 mod truth;
 
 pub use camera::{Exposure, MotionBlur, Sensor, SimCamera, base_from_mount};
+pub use rendered::{Rendered, Truth};
 pub use renderer::{Actor, Renderer, Shot};
-pub use truth::{Rendered, Truth};
 
 pub(crate) use texture::{SIDE as TEXTURE_SIDE, Texture};
 
