@@ -4,7 +4,7 @@
 mod chart;
 
 use super::measure::{Figures, FrameFigures, KeyTarget, View};
-use crate::cli::{detect::make_directory, failure::keep_input, html::escape};
+use crate::cli::{detect::make_directory, failure::keep_input, html};
 use anyhow::Result;
 use chart::{Chart, density};
 use realnet::{
@@ -148,8 +148,8 @@ impl Page {
         write(FRAMES, csv(frames)?.as_bytes())?;
         let mut html = String::new();
         html.push_str(HEAD);
-        writeln!(html, "<h1>Motion between depth maps</h1><p>{}</p>", escape(title))?;
-        writeln!(html, "<pre>{}</pre><pre>{}</pre>", escape(command), escape(table))?;
+        writeln!(html, "<h1>Motion between depth maps</h1><p>{}</p>", html::text(title))?;
+        writeln!(html, "<pre>{}</pre><pre>{}</pre>", html::text(command), html::text(table))?;
         self.charts(&mut html, frames)?;
         for (index, shown) in self.views.iter().chain(&self.worst).enumerate() {
             let worst = index == self.views.len();
@@ -217,7 +217,7 @@ impl Page {
             percent(figures.known_share)
         )?;
         for failure in figures.failure.iter().chain(&figures.target_failure) {
-            writeln!(html, "<p class=bad>Unknown: {}</p>", escape(failure))?;
+            writeln!(html, "<p class=bad>Unknown: {}</p>", html::text(failure))?;
         }
         writeln!(
             html,
@@ -235,7 +235,7 @@ impl Page {
             100.0 * WHITE
         )?;
         if let Some((sentence, chart)) = &shown.target {
-            writeln!(html, "<p>{}</p>", escape(sentence))?;
+            writeln!(html, "<p>{}</p>", html::text(sentence))?;
             html.push_str(chart.as_deref().unwrap_or_default());
         }
         Ok(())
