@@ -1,6 +1,6 @@
 //! A filter whose measurements may come late, twice, or not at all.
 
-use realnet_core::Stamp;
+use realnet_core::{OptionError, Stamp};
 use std::collections::VecDeque;
 use thiserror::Error;
 
@@ -143,18 +143,6 @@ impl Default for LateOptions {
     }
 }
 
-/// Options that make no sense.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("option {name} is {value}, must be {must}")]
-pub struct OptionsError {
-    /// Name of the field.
-    pub name: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// What it must be.
-    pub must: &'static str,
-}
-
 /// The state at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate<S> {
@@ -212,20 +200,16 @@ impl<M: Model> LateFilter<M> {
     ///
     /// # Errors
     ///
-    /// [`OptionsError`] if a time is not positive or the capacity is 0.
-    pub fn new(model: M, initial: M::State, options: &LateOptions) -> Result<Self, OptionsError> {
+    /// [`OptionError`] if a time is not positive or the capacity is 0.
+    pub fn new(model: M, initial: M::State, options: &LateOptions) -> Result<Self, OptionError> {
         let LateOptions { horizon_s, capacity, max_ahead_s } = *options;
-        if !(horizon_s > 0.0 && horizon_s.is_finite()) {
-            let must = "positive and finite";
-            return Err(OptionsError { name: "horizon_s", value: horizon_s, must });
-        }
+        OptionError::check("horizon_s", horizon_s, horizon_s > 0.0, "positive and finite")?;
+        // It may be infinite.
         if max_ahead_s.is_nan() || max_ahead_s <= 0.0 {
-            let must = "positive";
-            return Err(OptionsError { name: "max_ahead_s", value: max_ahead_s, must });
+            let rule = "positive";
+            return Err(OptionError { name: "max_ahead_s", value: max_ahead_s, rule });
         }
-        if capacity == 0 {
-            return Err(OptionsError { name: "capacity", value: 0.0, must: "at least 1" });
-        }
+        OptionError::check("capacity", capacity as f64, capacity > 0, "at least 1")?;
         Ok(Self {
             model,
             horizon_ns: Stamp::from_secs_f64(horizon_s).nanos(),

@@ -163,9 +163,9 @@ mod tracking;
 pub use cubic::{Cubic, CubicError, CubicTrajectory, TrajectoryPoint};
 pub use gaussian::{Gaussian, GaussianError};
 pub use late::{
-    Arrival, BadMeasurement, Estimate, LateError, LateFilter, LateOptions, Model, OptionsError,
-    Publisher,
+    Arrival, BadMeasurement, Estimate, LateError, LateFilter, LateOptions, Model, Publisher,
 };
+pub use realnet_core::OptionError;
 pub use tracking::{
     DirectionSource, Motion, Outcome, RangeSource, Reading, SharedError, Source, StatusTimes,
     TargetFilter, TargetMeasurement, TargetOptions, Track, TrackRange, TrailPoint,

@@ -342,7 +342,9 @@ fn options_without_sense_are_named() {
         (TargetOptions { gate_deviations: 0.0, ..default }, "gate_deviations"),
         (TargetOptions { times: late, ..default }, "times.lost_after_s"),
     ] {
-        assert_eq!(TargetFilter::new(options).err().unwrap().name, name);
+        let error = TargetFilter::new(options).err().unwrap();
+        assert_eq!(error.name, name);
+        assert!(error.to_string().starts_with(&format!("{name} is ")), "{error}");
     }
 }
 

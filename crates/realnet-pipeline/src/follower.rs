@@ -10,8 +10,8 @@ use realnet_core::{
     TrackStatus,
 };
 use realnet_fusion::{
-    DirectionSource, LateError, OptionsError, RangeSource, Reading, SharedError, TargetFilter,
-    TargetMeasurement, TargetOptions, Track,
+    DirectionSource, LateError, RangeSource, Reading, SharedError, TargetFilter, TargetMeasurement,
+    TargetOptions, Track,
 };
 use realnet_range::carry::CarryError;
 use realnet_range::cues::Uncertain;
@@ -82,10 +82,10 @@ pub enum FollowerError {
     Ranging(#[from] RangingError),
     /// An option of the fusion.
     #[error(transparent)]
-    Fusion(#[from] OptionsError),
+    Fusion(OptionError),
     /// An option of the control.
     #[error(transparent)]
-    Control(#[from] OptionError),
+    Control(OptionError),
 }
 
 /// What is known when a frame was taken.
@@ -143,8 +143,8 @@ impl Follower {
             sight: Sight::new(options.sight)?,
             ranging: Ranging::new(camera, &options.mount, options.ranging)?,
             odometry: OwnOdometry::new(&options.mount, max_speed),
-            fusion: TargetFilter::new(options.fusion)?,
-            controller: Controller::new(options.control)?,
+            fusion: TargetFilter::new(options.fusion).map_err(FollowerError::Fusion)?,
+            controller: Controller::new(options.control).map_err(FollowerError::Control)?,
             network: None,
             heading: None,
             aspect: None,

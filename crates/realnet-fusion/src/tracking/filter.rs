@@ -4,8 +4,8 @@ use super::measurement::{Outcome, Source, TargetMeasurement};
 use super::model::{TargetModel, TargetMoment};
 use super::options::TargetOptions;
 use super::track::{Motion, Track, TrailPoint};
-use crate::late::{Arrival, LateError, LateFilter, LateOptions, OptionsError};
-use realnet_core::{Stamp, TrackStatus};
+use crate::late::{Arrival, LateError, LateFilter, LateOptions};
+use realnet_core::{OptionError, Stamp, TrackStatus};
 use std::collections::VecDeque;
 
 /// Estimates where a target is and how it moves, in a plane frame that stands still,
@@ -25,8 +25,8 @@ impl TargetFilter {
     ///
     /// # Errors
     ///
-    /// [`OptionsError`] names the field that makes no sense.
-    pub fn new(options: TargetOptions) -> Result<Self, OptionsError> {
+    /// [`OptionError`] names the field that makes no sense.
+    pub fn new(options: TargetOptions) -> Result<Self, OptionError> {
         options.check()?;
         let model = TargetModel::new(options);
         let initial = model.initial();

@@ -1,6 +1,6 @@
 //! Settings of the target filter.
 
-use crate::late::OptionsError;
+use realnet_core::OptionError;
 
 /// An error that measurements of one source share and that changes slowly: normally
 /// distributed, remembered for `time_s` (a first-order Gauss-Markov process).
@@ -127,17 +127,15 @@ impl Default for TargetOptions {
 impl TargetOptions {
     /// # Errors
     ///
-    /// [`OptionsError`] names the first field that makes no sense.
-    pub fn check(&self) -> Result<(), OptionsError> {
+    /// [`OptionError`] names the first field that makes no sense.
+    pub fn check(&self) -> Result<(), OptionError> {
         let positive = |name, value: f64| {
-            let must = "positive";
-            if value > 0.0 { Ok(()) } else { Err(OptionsError { name, value, must }) }
+            let rule = "positive";
+            if value > 0.0 { Ok(()) } else { Err(OptionError { name, value, rule }) }
         };
         // Deviations within 1e-4 to 1e3, so that the factors stay well scaled.
         let deviation = |name, value: f64| {
-            let must = "from 1e-4 to 1e3";
-            let good = (1e-4..=1e3).contains(&value);
-            if good { Ok(()) } else { Err(OptionsError { name, value, must }) }
+            OptionError::check(name, value, (1e-4..=1e3).contains(&value), "from 1e-4 to 1e3")
         };
         deviation("jerk_density", self.jerk_density)?;
         positive("acceleration_time_s", self.acceleration_time_s)?;
@@ -158,12 +156,12 @@ impl TargetOptions {
         positive("unknown_above", self.unknown_above)?;
         let StatusTimes { coast_after_s, lost_after_s, forget_after_s } = self.times;
         positive("times.coast_after_s", coast_after_s)?;
-        let must = "not before the time of the status before it";
+        let rule = "not before the time of the status before it";
         if lost_after_s.is_nan() || lost_after_s < coast_after_s {
-            return Err(OptionsError { name: "times.lost_after_s", value: lost_after_s, must });
+            return Err(OptionError { name: "times.lost_after_s", value: lost_after_s, rule });
         }
         if forget_after_s.is_nan() || forget_after_s < lost_after_s {
-            return Err(OptionsError { name: "times.forget_after_s", value: forget_after_s, must });
+            return Err(OptionError { name: "times.forget_after_s", value: forget_after_s, rule });
         }
         Ok(())
     }
