@@ -9,7 +9,7 @@ use crate::{VehicleKind, VehicleState};
 use rand::RngExt;
 use realnet_control::{ControlOptions, DeadBand, Drive, SpeedOptions, VehicleOptions};
 use realnet_core::nalgebra::Vector2;
-use realnet_core::{CameraModel, Distortion, Intrinsics, Pose2};
+use realnet_core::{CameraError, CameraModel, Distortion, Intrinsics, Pose2};
 use realnet_pipeline::CameraMount;
 
 /// From pose to pose of what is kept free, metres.
@@ -19,6 +19,8 @@ const FREE_SPACING: f64 = 0.3;
 pub(super) struct Draft {
     pub(super) setup: Setup,
     random: Random,
+    /// See [`Draft::wide_camera`].
+    wide: CameraModel,
     /// The gap at the start over the one to be kept.
     pub(super) start_gap: f64,
     /// Where the follower starts beside the target's path, metres, and its heading
@@ -29,7 +31,10 @@ pub(super) struct Draft {
 impl Draft {
     /// The common draft: a car follows in a world by chance. All common draws come
     /// first and in one order, so that a scenario's own change nothing in them.
-    pub(super) fn new(scenario: &Scenario, seed: u64) -> Self {
+    ///
+    /// # Errors
+    /// [`CameraError`] if a camera cannot be built.
+    pub(super) fn new(scenario: &Scenario, seed: u64) -> Result<Self, CameraError> {
         let mut random = random_stream(seed, scenario.name());
         let mut between = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
 
@@ -63,7 +68,7 @@ impl Draft {
 
         let start_gap = between(-0.15, 0.2);
         let start_offset = [between(-0.06, 0.06), between(-0.05, 0.05)];
-        let mut camera = camera(between(0.4, 1.0), between(0.004, 0.009));
+        let mut camera = camera(between(0.4, 1.0), between(0.004, 0.009))?;
         // No mount is what its drawing says.
         camera.pitch_error_rad = between(-0.008, 0.008);
         camera.height_error_m = between(-0.005, 0.005);
@@ -93,7 +98,8 @@ impl Draft {
                 ..Expectations::default()
             },
         };
-        Self { setup, random, start_gap, start_offset }
+        let bent = Distortion::PlumbBob([-0.06, 0.008, 0.0, 0.0, 0.0]);
+        Ok(Self { setup, random, wide: lens(320.0, bent)?, start_gap, start_offset })
     }
 
     /// A random number.
@@ -148,8 +154,7 @@ impl Draft {
 
     /// A camera that sees 90 degrees across, bent by its lens.
     pub(super) fn wide_camera(&mut self) {
-        let bent = Distortion::PlumbBob([-0.06, 0.008, 0.0, 0.0, 0.0]);
-        self.setup.camera.model = lens(320.0, bent);
+        self.setup.camera.model = self.wide;
     }
 
     /// The vehicle that follows is another one.
@@ -216,9 +221,9 @@ impl Draft {
 }
 
 /// 640 x 360 pixels, 70 degrees across, 30 frames a second.
-fn camera(noise: f64, exposure_s: f64) -> CameraSetup {
-    CameraSetup {
-        model: lens(457.0, Distortion::None),
+fn camera(noise: f64, exposure_s: f64) -> Result<CameraSetup, CameraError> {
+    Ok(CameraSetup {
+        model: lens(457.0, Distortion::None)?,
         mount: CameraMount::default(),
         pitch_error_rad: 0.0,
         height_error_m: 0.0,
@@ -228,14 +233,13 @@ fn camera(noise: f64, exposure_s: f64) -> CameraSetup {
         noise,
         knocks: Vec::new(),
         outages: Vec::new(),
-    }
+    })
 }
 
-/// A camera of 640 x 360 pixels. All focal lengths and lenses used make one.
-fn lens(focal: f64, distortion: Distortion) -> CameraModel {
+/// A camera of 640 x 360 pixels.
+fn lens(focal: f64, distortion: Distortion) -> Result<CameraModel, CameraError> {
     let intrinsics = Intrinsics { fx: focal, fy: focal, cx: 319.5, cy: 179.5 };
     CameraModel::new(640, 360, intrinsics, distortion)
-        .unwrap_or_else(|error| unreachable!("a constant camera: {error}"))
 }
 
 /// What the follower is told about its vehicle.

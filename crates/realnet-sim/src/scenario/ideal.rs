@@ -119,7 +119,7 @@ fn perfect_knowledge_keeps_gap_and_path_without_collisions() {
     for scenario in Scenario::list() {
         let mut worst = [0.0_f64, 0.0, f64::INFINITY, 1.0, 0.0];
         for seed in 0..8 {
-            let setup = scenario.instantiate(seed);
+            let setup = scenario.instantiate(seed).unwrap();
             if setup.target.is_none() {
                 continue;
             }

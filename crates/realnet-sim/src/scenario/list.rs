@@ -2,6 +2,7 @@
 
 use super::draft::Draft;
 use super::{Setup, driving, failing, seeing, traffic};
+use realnet_core::CameraError;
 use std::fmt;
 
 /// A situation that a follower is tried in.
@@ -116,10 +117,12 @@ impl Scenario {
     }
 
     /// Draws all that is random in it: the same seed, the same run.
-    #[must_use]
-    pub fn instantiate(&self, seed: u64) -> Setup {
-        let mut draft = Draft::new(self, seed);
+    ///
+    /// # Errors
+    /// [`CameraError`] if its camera cannot be built.
+    pub fn instantiate(&self, seed: u64) -> Result<Setup, CameraError> {
+        let mut draft = Draft::new(self, seed)?;
         (self.recipe)(&mut draft);
-        draft.finish()
+        Ok(draft.finish())
     }
 }

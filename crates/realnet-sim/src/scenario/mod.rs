@@ -10,11 +10,12 @@
 //! use realnet_sim::scenario::Scenario;
 //!
 //! let scenario = Scenario::named("hard-braking").expect("it is in the list");
-//! let setup = scenario.instantiate(7);
+//! let setup = scenario.instantiate(7)?;
 //! let target = setup.target.as_ref().expect("somebody is followed");
 //! assert!(target.state(4.0).speed > 0.7);
 //! assert_eq!(target.state(setup.duration_s).speed, 0.0);
-//! assert_eq!(setup, scenario.instantiate(7));
+//! assert_eq!(setup, scenario.instantiate(7)?);
+//! # Ok::<(), realnet_core::CameraError>(())
 //! ```
 
 mod draft;

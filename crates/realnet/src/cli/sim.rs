@@ -226,7 +226,7 @@ fn run_all(args: &SimArgs, wanted: &[(&Scenario, u64)]) -> Result<Vec<RunResult>
 
 /// One run, with its page and its lines. `None`: interrupted.
 fn one(args: &SimArgs, scenario: &Scenario, seed: u64, several: bool) -> Result<Option<RunResult>> {
-    let setup = scenario.instantiate(seed);
+    let setup = scenario.instantiate(seed)?;
     let mut video = match &args.video {
         Some(path) => {
             let (model, fps) = (setup.camera.model, setup.camera.rate_hz);
