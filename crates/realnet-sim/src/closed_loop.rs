@@ -299,11 +299,13 @@ impl<'a> World<'a> {
         let (limit, bound) = telemetry.bounds.least();
         let limited = telemetry.aim.is_some() && telemetry.bound == bound;
         let fused = report.and_then(|report| report.fused_m);
+        let network = report.and(self.follower.network_range());
         let status = self.last.map(|report| report.status).unwrap_or_default();
         let log = FrameLog {
             time_s,
             range_true_m,
             range_network_m: report.and_then(|report| report.network_m),
+            network_age_s: network.map(|seen| exposed.seconds_since(seen.stamp)),
             range_fast_m: report.and_then(|report| report.fast_m),
             range_ground_m: report.and_then(|report| report.ground_m),
             pitch_rad: self.last.map_or(0.0, |report| report.pitch_rad),

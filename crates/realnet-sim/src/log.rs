@@ -45,6 +45,8 @@ pub struct FrameLog {
     pub range_true_m: Option<f64>,
     /// Range of the newest depth map that has arrived, held.
     pub range_network_m: Option<f64>,
+    /// From the exposure of that map's frame to this one's, seconds.
+    pub network_age_s: Option<f64>,
     /// Range by the fast path alone: the newest map that arrived, moved by flow.
     pub range_fast_m: Option<f64>,
     /// Range by the target's foot on the ground.

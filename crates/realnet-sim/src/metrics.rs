@@ -3,15 +3,27 @@
 use crate::{FrameLog, RunLog, StopLog};
 use realnet_core::TrackStatus;
 
+/// Longest time that a range of the network counts as held, from the exposure of its
+/// frame, seconds: a network of 1 Hz that is 0.27 s late is held for up to 1.27 s.
+/// What is older is no longer held between two maps, but left over from before the
+/// maps or the target were lost.
+pub const HELD_S: f64 = 1.5;
+
 /// How well one source of ranges did.
 ///
-/// It is judged on the *judged frames*: those where the target is visible (its true
-/// range is known), the track's status is [`TrackStatus::Tracking`] and there is a
-/// fused range. They are the same for all sources, so that a source gains nothing by
-/// keeping silent on the hard frames; `frames` says on how many of them it spoke.
+/// Sources are judged on two sets of frames:
+///
+/// - *tracked frames*: the target is visible (its true range is known), the track's
+///   status is [`TrackStatus::Tracking`] and there is a fused range;
+/// - *compared frames*: tracked frames on which there is a range of the network that is
+///   not older than [`HELD_S`] ([`FrameLog::network_age_s`]).
+///
+/// Sources that are compared are judged on the compared frames, all on the same ones,
+/// so that a source gains nothing by keeping silent on the hard frames; `frames` says on
+/// how many of them it spoke. The fused range and the network's speak on all of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CueFigures {
-    /// Judged frames with a range of this source.
+    /// Frames of the set with a range of this source.
     pub frames: usize,
     /// Mean over these of |range - truth| / truth.
     pub abs_rel: Option<f64>,
@@ -44,14 +56,17 @@ pub struct RunFigures {
     /// Root mean square over the frames from the settling time on of
     /// [`FrameLog::lateral_m`], metres.
     pub lateral_rmse_m: Option<f64>,
-    /// The fused range, [`FrameLog::range_fused_m`].
+    /// The fused range, [`FrameLog::range_fused_m`], on the compared frames.
     pub fused: CueFigures,
-    /// The network alone: its newest range that arrived, held until the next
-    /// ([`FrameLog::range_network_m`]).
+    /// The network alone: its newest range that arrived, held until the next, for
+    /// [`HELD_S`] at most ([`FrameLog::range_held_m`]); on the compared frames.
     pub network: CueFigures,
-    /// The fast path alone, [`FrameLog::range_fast_m`].
+    /// The fast path alone, [`FrameLog::range_fast_m`], on the compared frames.
     pub fast: CueFigures,
-    /// Judged frames with a deviation of the fused range.
+    /// The fused range on all tracked frames, with those on which it has to do without
+    /// the network.
+    pub tracked: CueFigures,
+    /// Tracked frames with a deviation of the fused range.
     pub deviations: usize,
     /// Share of these where the true range is at most two deviations from the fused
     /// one, 0 to 1.
@@ -78,7 +93,9 @@ impl RunFigures {
         let tracked =
             frames().filter(|f| truth(f).is_some() && f.status == TrackStatus::Tracking).count();
         let (mut deviations, mut within) = (0, 0);
-        for (frame, truth) in judged(log) {
+        for (frame, truth) in
+            log.frames.iter().filter_map(|frame| Some((frame, tracked_truth(frame)?)))
+        {
             let std = frame.range_fused_std_m.filter(|std| std.is_finite());
             if let (Some(range), Some(std)) = (frame.range_fused_m, std) {
                 deviations += 1;
@@ -91,9 +108,10 @@ impl RunFigures {
             visible,
             gap_rmse_m: rms(settled().map(|frame| frame.gap_m - log.desired_gap_m)),
             lateral_rmse_m: rms(settled().map(|frame| frame.lateral_m)),
-            fused: CueFigures::of(log, |frame| frame.range_fused_m),
-            network: CueFigures::of(log, |frame| frame.range_network_m),
-            fast: CueFigures::of(log, |frame| frame.range_fast_m),
+            fused: CueFigures::of(log, compared_truth, |frame| frame.range_fused_m),
+            network: CueFigures::of(log, compared_truth, FrameLog::range_held_m),
+            fast: CueFigures::of(log, compared_truth, |frame| frame.range_fast_m),
+            tracked: CueFigures::of(log, tracked_truth, |frame| frame.range_fused_m),
             deviations,
             within_two_std: share(within, deviations),
             min_gap_m: frames()
@@ -107,12 +125,30 @@ impl RunFigures {
     }
 }
 
+impl FrameLog {
+    /// The network's range for as long as it counts as held, [`HELD_S`].
+    #[must_use]
+    pub fn range_held_m(&self) -> Option<f64> {
+        let age_s = self.network_age_s?;
+        self.range_network_m.filter(|range| range.is_finite() && age_s <= HELD_S)
+    }
+}
+
 impl CueFigures {
-    fn of(log: &RunLog, range: impl Fn(&FrameLog) -> Option<f64>) -> Self {
+    /// On the frames where `judged` knows the true range.
+    fn of(
+        log: &RunLog,
+        judged: impl Fn(&FrameLog) -> Option<f64>,
+        range: impl Fn(&FrameLog) -> Option<f64>,
+    ) -> Self {
         let range = |frame: &FrameLog| range(frame).filter(|range| range.is_finite());
-        let errors = || judged(log).filter_map(|(f, truth)| Some((range(f)? - truth, truth)));
+        let error_and_truth = |frame: &FrameLog| {
+            let truth = judged(frame)?;
+            Some((range(frame)? - truth, truth))
+        };
+        let errors = || log.frames.iter().filter_map(error_and_truth);
         let visible = || log.frames.iter().filter(|frame| truth(frame).is_some());
-        let error_of = |frame: &FrameLog| Some(range(frame)? - judged_truth(frame)?);
+        let error_of = |frame: &FrameLog| error_and_truth(frame).map(|(error, _)| error);
         let changes = || {
             log.frames
                 .windows(2)
@@ -154,15 +190,15 @@ fn truth(frame: &FrameLog) -> Option<f64> {
     frame.range_true_m.filter(|range| range.is_finite() && *range > 0.0)
 }
 
-/// The true range on a judged frame, see [`CueFigures`].
-fn judged_truth(frame: &FrameLog) -> Option<f64> {
+/// The true range on a tracked frame, see [`CueFigures`].
+fn tracked_truth(frame: &FrameLog) -> Option<f64> {
     let fused = frame.range_fused_m.filter(|range| range.is_finite());
     truth(frame).filter(|_| frame.status == TrackStatus::Tracking && fused.is_some())
 }
 
-/// The judged frames with the true ranges.
-fn judged(log: &RunLog) -> impl Iterator<Item = (&FrameLog, f64)> {
-    log.frames.iter().filter_map(|frame| Some((frame, judged_truth(frame)?)))
+/// The true range on a compared frame, see [`CueFigures`].
+fn compared_truth(frame: &FrameLog) -> Option<f64> {
+    tracked_truth(frame).filter(|_| frame.range_held_m().is_some())
 }
 
 /// Entries into contact.

@@ -2,11 +2,13 @@ use super::*;
 use realnet_core::StopReason;
 
 /// A frame that tracks a target 2 m ahead, 1 m off the bumper, with a range of
-/// `fused` m.
+/// `fused` m; the network's is 2.4 m.
 fn frame(index: usize, fused: f64) -> FrameLog {
     FrameLog {
         time_s: index as f64 / 10.0,
         range_true_m: Some(2.0),
+        range_network_m: Some(2.4),
+        network_age_s: Some(0.4),
         range_fused_m: Some(fused),
         range_fused_std_m: Some(0.1),
         status: TrackStatus::Tracking,
@@ -39,11 +41,16 @@ fn ranges_against_the_truth() {
     }
     let figures = RunFigures::from_log(&log(frames), 0.0);
     // |errors| 0.1, 0.2, 0.2, 0 of 2 m
-    close(figures.fused.abs_rel, 0.5 / 4.0 / 2.0);
-    close(figures.fused.bias, 0.1 / 4.0 / 2.0);
+    close(figures.tracked.abs_rel, 0.5 / 4.0 / 2.0);
+    close(figures.tracked.bias, 0.1 / 4.0 / 2.0);
     // changes -0.3, 0.4, -0.2
-    close(figures.fused.jitter_m, (0.29f64 / 3.0).sqrt());
-    assert_eq!((figures.fused.frames, figures.fused.pairs), (4, 3));
+    close(figures.tracked.jitter_m, (0.29f64 / 3.0).sqrt());
+    assert_eq!((figures.tracked.frames, figures.tracked.pairs), (4, 3));
+    // Without the first, where the network says nothing.
+    close(figures.fused.abs_rel, 0.4 / 3.0 / 2.0);
+    close(figures.fused.bias, 0.0);
+    close(figures.fused.jitter_m, (0.2f64 / 2.0).sqrt());
+    assert_eq!((figures.fused.frames, figures.fused.pairs), (3, 2));
     // 0.4, 0.4, -0.4; changes 0, -0.8
     close(figures.network.abs_rel, 0.2);
     close(figures.network.jitter_m, (0.64f64 / 2.0).sqrt());
@@ -52,6 +59,26 @@ fn ranges_against_the_truth() {
     assert_eq!(figures.fast, CueFigures { known_share: Some(0.0), ..CueFigures::default() });
     // 0.2 is two deviations, rounding aside
     assert_eq!(figures.deviations, 4);
+}
+
+#[test]
+fn what_is_left_over_from_before_a_loss_is_not_compared() {
+    let ages = [0.4, HELD_S, HELD_S + 0.01, f64::NAN, 0.3];
+    let frames = (0..).zip(ages).map(|(index, age)| FrameLog {
+        network_age_s: Some(age),
+        range_network_m: Some(if age <= HELD_S { 2.2 } else { 9.0 }),
+        range_fast_m: Some(2.1),
+        ..frame(index, if age <= HELD_S { 2.02 } else { 2.5 })
+    });
+    let figures = RunFigures::from_log(&log(frames), 0.0);
+    for (cue, abs_rel) in [(figures.fused, 0.01), (figures.network, 0.1), (figures.fast, 0.05)] {
+        assert_eq!((cue.frames, cue.pairs), (3, 1), "the same frames for all");
+        close(cue.abs_rel, abs_rel);
+    }
+    close(figures.network.known_share, 3.0 / 5.0);
+    // The filter has no excuse: all of its frames are judged somewhere.
+    assert_eq!((figures.tracked.frames, figures.deviations), (5, 5));
+    close(figures.tracked.abs_rel, (3.0 * 0.01 + 2.0 * 0.25) / 5.0);
 }
 
 #[test]
@@ -68,7 +95,7 @@ fn within_two_deviations_is_inclusive_and_needs_a_deviation() {
 }
 
 #[test]
-fn only_judged_frames_count_for_ranges() {
+fn only_tracked_frames_count_for_ranges() {
     // Hidden, coasting, without a fused range, with a broken one: all far off.
     let hidden = FrameLog { range_true_m: None, ..frame(1, 9.0) };
     let coasting = FrameLog { status: TrackStatus::Coasting, ..frame(2, 9.0) };
@@ -81,11 +108,11 @@ fn only_judged_frames_count_for_ranges() {
     close(figures.fused.abs_rel, 0.05);
     assert_eq!((figures.fused.frames, figures.fused.pairs), (2, 0), "the two are no neighbours");
     assert_eq!(figures.fused.jitter_m, None);
-    assert_eq!(figures.network.abs_rel, None);
+    assert_eq!((figures.network.frames, figures.network.abs_rel), (2, Some(0.2)));
     // visible: all but the hidden one; fused there: 0, coasting, 5
     assert_eq!(figures.visible, 5);
     close(figures.fused.known_share, 3.0 / 5.0);
-    close(figures.network.known_share, 2.0 / 5.0);
+    close(figures.network.known_share, 1.0);
     close(figures.tracked_share, 4.0 / 5.0);
 }
 
@@ -127,6 +154,7 @@ fn nothing_visible_means_no_share() {
     let frames = (0..5).map(|i| FrameLog {
         range_true_m: None,
         range_fused_m: None,
+        range_network_m: None,
         status: TrackStatus::Searching,
         ..frame(i, 0.0)
     });

@@ -53,7 +53,7 @@ pub struct Expectations {
     pub max_lateral_rmse_m: Option<f64>,
     /// Least share of the frames with a visible target that it is tracked in.
     pub min_tracked_share: Option<f64>,
-    /// Greatest mean relative error of the fused range.
+    /// Greatest mean relative error of the fused range on all tracked frames.
     pub max_range_abs_rel: Option<f64>,
     /// Greatest error of the gap in the last frame, metres.
     pub max_final_gap_error_m: Option<f64>,
@@ -78,7 +78,8 @@ impl Expectations {
             return vec!["there are no frames".to_owned()];
         };
         if figures.collisions > 0 {
-            failures.push(format!("{} collisions", figures.collisions));
+            let plural = if figures.collisions == 1 { "" } else { "s" };
+            failures.push(format!("{} collision{plural}", figures.collisions));
         }
         failures.extend(not_finite(log));
         let mut bound = |name: &str, value: Option<f64>, bound: Option<f64>, is_upper: bool| {
@@ -98,7 +99,7 @@ impl Expectations {
         bound("gap RMSE in m", figures.gap_rmse_m, self.max_gap_rmse_m, true);
         bound("lateral RMSE in m", figures.lateral_rmse_m, self.max_lateral_rmse_m, true);
         bound("tracked share", figures.tracked_share, self.min_tracked_share, false);
-        bound("relative range error", figures.fused.abs_rel, self.max_range_abs_rel, true);
+        bound("relative range error", figures.tracked.abs_rel, self.max_range_abs_rel, true);
         let gap_error = (last.gap_m - log.desired_gap_m).abs();
         bound("gap error at the end in m", Some(gap_error), self.max_final_gap_error_m, true);
         let way = log
@@ -292,7 +293,7 @@ mod tests {
             (each(|f| f.speed_command = 0.5), "0.50 m/s are commanded at 6.00 s"),
             (each(|f| f.steering_command = f64::NAN), "not finite at 0.000 s"),
             (each(|f| f.range_fused_std_m = Some(f64::INFINITY)), "not finite at 0.000 s"),
-            (single(|l| l.frames[99].clearance_m = 0.0), "1 collisions"),
+            (single(|l| l.frames[99].clearance_m = 0.0), "1 collision"),
             (single(|l| l.frames[300].gap_m = 1.1), "gap error at the end in m is 0.100"),
             (single(|l| l.frames[300].gap_m = f64::NAN), "gap error at the end in m is NaN"),
             (single(|l| l.frames[300].status = TrackStatus::Lost), "the target is lost at the end"),

@@ -277,7 +277,7 @@ fn one(args: &SimArgs, scenario: &Scenario, seed: u64, several: bool) -> Result<
 /// The frames of a run as CSV: SI units, empty where nothing is known.
 fn write_log(path: &Path, log: &RunLog) -> Result<()> {
     let mut text = String::from(
-        "time_s,range_true_m,range_network_m,range_fast_m,range_ground_m,range_fused_m,range_fused_std_m,pitch_rad,\
+        "time_s,range_true_m,range_network_m,network_age_s,range_fast_m,range_ground_m,range_fused_m,range_fused_std_m,pitch_rad,\
          status,\
          gap_m,clearance_m,lateral_m,speed_command,steering_command,speed,steering,target_speed,\
          x,y,heading,target_x,target_y,target_heading,stop\n",
@@ -288,6 +288,7 @@ fn write_log(path: &Path, log: &RunLog) -> Result<()> {
         let ranges = [
             frame.range_true_m,
             frame.range_network_m,
+            frame.network_age_s,
             frame.range_fast_m,
             frame.range_ground_m,
             frame.range_fused_m,

@@ -24,7 +24,7 @@ impl RunResult {
 
     /// The JSON object of the run.
     pub(super) fn record(&self) -> RunRecord<'_> {
-        let RunFigures { fused, network, fast, .. } = self.figures;
+        let RunFigures { fused, network, fast, tracked, .. } = self.figures;
         let figures = &self.figures;
         RunRecord {
             scenario: &self.scenario,
@@ -49,6 +49,8 @@ impl RunResult {
             range_known_share_network_only: network.known_share,
             range_known_share_fast: fast.known_share,
             range_frames: fused.frames,
+            range_abs_rel_tracked: tracked.abs_rel,
+            range_frames_tracked: tracked.frames,
             visible_frames: figures.visible,
             frames: figures.frames,
             duration_s: figures.duration_s,
@@ -97,6 +99,9 @@ pub(super) struct RunRecord<'a> {
     #[serde(serialize_with = "rounded")]
     range_known_share_fast: Option<f64>,
     range_frames: usize,
+    #[serde(serialize_with = "rounded")]
+    range_abs_rel_tracked: Option<f64>,
+    range_frames_tracked: usize,
     visible_frames: usize,
     frames: usize,
     #[serde(serialize_with = "rounded_number")]
@@ -159,6 +164,7 @@ mod tests {
             fused: cue(0.02, 0.003),
             network: cue(0.1, 0.06),
             fast: cue(0.05, 0.01),
+            tracked: cue(0.03, 0.004),
             deviations: 80,
             within_two_std: Some(0.95),
             min_gap_m: Some(-1e-9),

@@ -116,7 +116,9 @@ pub(super) struct RangeGain {
     pub(super) fused: CueFigures,
     /// The network's, held.
     pub(super) network: CueFigures,
-    /// Share of the frames with the true range within two deviations.
+    /// Tracked frames with a deviation.
+    pub(super) deviations: usize,
+    /// Share of these with the true range within two deviations.
     pub(super) within_two_std: Option<f64>,
 }
 
@@ -132,6 +134,7 @@ impl RangeGain {
         Self {
             fused: CueFigures::pooled(figures().map(|f| &f.fused)),
             network: CueFigures::pooled(figures().map(|f| &f.network)),
+            deviations: all,
             within_two_std: (all > 0).then(|| within / all as f64),
         }
     }

@@ -4,6 +4,7 @@ use super::{badge, foot, head, page_name};
 use crate::cli::html::escape;
 use crate::cli::sim::json::RunResult;
 use crate::cli::sim::table::{RangeGain, ScenarioSummary, number, percent, summaries};
+use realnet_sim::HELD_S;
 use std::fmt::Write as _;
 
 /// The page over these runs: what all come to, a row for each scenario, and a link to
@@ -40,10 +41,11 @@ pub(in crate::cli::sim) fn index(
     for scenario in &scenarios {
         row(&mut html, scenario, runs, &has_page);
     }
-    html.push_str(
-        "</tbody></table></div>\n<p class=\"note\">Net: the range of the network alone, held between its maps. In 2 \
-         sd: frames with the true range within two deviations of the fused one. The squares are the \
-         runs by seed.</p>\n",
+    let _ = writeln!(
+        html,
+        "</tbody></table></div>\n<p class=\"note\">Net: the range of the network alone, held between its maps for \
+         {HELD_S} s at most; errors and jitter are of the frames with both. In 2 sd: frames with the true range within two deviations of the fused one. The squares are the \
+         runs by seed.</p>",
     );
     failures(&mut html, &scenarios, runs, &has_page);
     html.push_str(&foot(command));
@@ -76,7 +78,7 @@ fn gain(html: &mut String, gain: &RangeGain) {
         (
             "Truth within two deviations",
             format!("{} %", percent(gain.within_two_std, 1)),
-            format!("of {} frames, all runs as one", gain.fused.frames),
+            format!("of {} tracked frames, all runs as one", gain.deviations),
         ),
     ] {
         let _ = write!(html, "<div><p>{name}</p><strong>{value}</strong><p>{note}</p></div>");

@@ -35,7 +35,7 @@ impl<'a> Plots<'a> {
                     Some((range - 2.0 * std, range + 2.0 * std))
                 }),
             )
-            .line("network, held", "network", "thin", self.of(|f| f.range_network_m))
+            .line("network, held", "network", "thin", self.of(FrameLog::range_held_m))
             .line("fast", "fast", "thin", self.of(|f| f.range_fast_m))
             .line("fused", "fused", "", self.of(|f| f.range_fused_m))
             .line("truth", "truth", "dashed", self.of(|f| f.range_true_m))
@@ -51,7 +51,7 @@ impl<'a> Plots<'a> {
             self.of(move |f| Some(range(f)? - f.range_true_m?))
         };
         let note = format!(
-            "While tracking: fused off by {} % ({} mm of jitter), the network’s held range by {} % \
+            "While tracked, with a range of the network: fused off by {} % ({} mm of jitter), the network’s held range by {} % \
              ({} mm); the truth is within two deviations on {} % of the frames.",
             percent(self.figures.fused.abs_rel, 2),
             number(self.figures.fused.jitter_m.map(|m| 1e3 * m), 1),
@@ -69,7 +69,7 @@ impl<'a> Plots<'a> {
                     Some((-2.0 * std, 2.0 * std))
                 }),
             )
-            .line("network, held", "network", "thin", error(|f| f.range_network_m))
+            .line("network, held", "network", "thin", error(FrameLog::range_held_m))
             .line("fast", "fast", "thin", error(|f| f.range_fast_m))
             .line("fused", "fused", "", error(|f| f.range_fused_m))
             .reaching(0.0)

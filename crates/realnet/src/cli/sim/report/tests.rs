@@ -30,7 +30,7 @@ pub(in crate::cli::sim) fn plausible() -> RunLog {
     let mut target = Pose2::new(2.0, 0.0, 0.0);
     let mut follower = Pose2::IDENTITY;
     let (mut speed, mut command) = (0.0f64, 0.0f64);
-    let mut held = None;
+    let (mut held, mut held_from) = (None, 0.0);
     let mut walker = Vec::new();
     for index in 0..count {
         let time = index as f64 * dt;
@@ -58,6 +58,7 @@ pub(in crate::cli::sim) fn plausible() -> RunLog {
             let then = log.frames.iter().rev().find(|frame| frame.time_s <= exposed);
             let range_m = then.and_then(|f| f.range_true_m).map(|r| r * (1.0 + 0.1 * noise(index)));
             held = range_m.or(held);
+            held_from = range_m.map_or(held_from, |_| exposed);
             log.depth_maps.push(DepthMapLog { time_s: exposed, arrived_s: time, range_m });
         }
         let late = 0.05 + 0.012 * noise(index + 5000);
@@ -83,6 +84,7 @@ pub(in crate::cli::sim) fn plausible() -> RunLog {
             time_s: time,
             range_true_m: (!hidden).then_some(range),
             range_network_m: held,
+            network_age_s: held.map(|_| time - held_from),
             range_fast_m: held
                 .filter(|_| !hidden)
                 .map(|_| range * (1.0 + 0.05 * noise(index / 10))),
