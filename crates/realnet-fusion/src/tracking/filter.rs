@@ -67,6 +67,13 @@ impl TargetFilter {
         filter.push_with(measurement.stamp, measurement.source(), measurement, &mut keep)
     }
 
+    /// Tells that it is now `now`, for the limit of [`TargetOptions::max_ahead_s`]; changes
+    /// nothing else. [`TargetFilter::track_at`] tells it too: needed only where a
+    /// measurement comes before the first question after a pause.
+    pub fn advance(&mut self, now: Stamp) {
+        self.filter.advance(now);
+    }
+
     /// What is known about the target at a time, at or after the horizon: usually the
     /// time at which the next command takes effect.
     ///
@@ -153,5 +160,36 @@ impl TargetFilter {
     pub fn clear(&mut self) {
         self.filter.clear();
         self.old_trail.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracking::{DirectionSource, Reading};
+    use realnet_core::Pose2;
+
+    #[test]
+    fn after_a_pause_it_must_be_told_what_time_it_is() {
+        let options = TargetOptions::default();
+        let mut filter = TargetFilter::new(options).unwrap();
+        let at = |seconds: f64| TargetMeasurement {
+            stamp: Stamp::from_secs_f64(seconds),
+            fixed_from_camera: Pose2::IDENTITY,
+            reading: Reading::Direction {
+                tangent: 0.0,
+                std: 0.01,
+                source: DirectionSource::Detection,
+            },
+        };
+        filter.push(at(1.0)).unwrap();
+        let later = 3.0 * options.max_ahead_s;
+        let refused = filter.push(at(later));
+        assert!(matches!(refused, Err(LateError::TooFarAhead { .. })), "{refused:?}");
+        filter.advance(Stamp::from_secs_f64(later));
+        assert_eq!(filter.push(at(later)), Ok(Arrival::InOrder));
+        // Time does not go back by being told so.
+        filter.advance(Stamp::ZERO);
+        assert_eq!(filter.push(at(later + options.max_ahead_s)), Ok(Arrival::InOrder));
     }
 }
