@@ -1,17 +1,17 @@
 //! All stages together: what a live robot and a replay both run.
 
+use crate::choice::{Expectation, prominence};
 use crate::odometry::{CameraMount, OwnOdometry};
 use crate::ranging::{Ranging, RangingError, RangingOptions, SeenRange};
 use crate::sight::{Sight, SightOptions, TargetBox};
 use realnet_control::{ControlInput, ControlOptions, Controller, OptionError, ViewLimit};
 use realnet_core::nalgebra::Vector2;
 use realnet_core::{
-    BoundingBox, CameraModel, DepthMap, Detection, DriveCommand, Frame, Pose2, Stamp, TargetState,
-    TrackStatus,
+    CameraModel, DepthMap, Detection, DriveCommand, Frame, Pose2, Stamp, TargetState, TrackStatus,
 };
 use realnet_fusion::{
     DirectionSource, LateError, RangeSource, Reading, SharedError, TargetFilter, TargetMeasurement,
-    TargetOptions, Track,
+    TargetOptions,
 };
 use realnet_range::carry::CarryError;
 use realnet_range::cues::Uncertain;
@@ -29,9 +29,6 @@ const NETWORK_STD: f64 = 0.1;
 const HEADING_SPEED: f64 = 0.2;
 /// Share of a whole box in what is known about their shape.
 const ASPECT_GAIN: f32 = 0.1;
-/// How well the height of the target's box is known, in its logarithm: it shows other
-/// sides when it turns.
-const HEIGHT_STD: f64 = 0.15;
 
 /// Everything that can be set.
 #[derive(Clone, Debug, PartialEq)]
@@ -269,7 +266,9 @@ impl Follower {
     /// box there, if it is among it.
     pub fn detections(&mut self, stamp: Stamp, detections: &[Detection]) -> Option<TargetBox> {
         let Self { sight, ranging, odometry, fusion, options, height, .. } = self;
-        let expected = expectation(fusion, odometry, stamp);
+        let camera = odometry.camera_at(stamp);
+        let track = fusion.track_at(stamp).ok();
+        let expected = track.zip(camera).and_then(|(track, at)| Expectation::new(&track, &at));
         let allowed =
             |d: &Detection| options.classes.is_empty() || options.classes.contains(&d.class_id);
         let found = sight.detections(stamp, detections, allowed, |detection| {
@@ -392,69 +391,9 @@ impl Follower {
     }
 }
 
-/// How much a detection suggests itself while nothing is known: sure, large, and ahead.
-fn prominence(detection: &Detection, width: u32) -> f64 {
-    let half = 0.5 * f64::from(width);
-    let aside = (f64::from(detection.bbox.center().0) - half) / (0.3 * half);
-    let size = f64::from(detection.bbox.area()) * f64::from(detection.confidence);
-    size * (-0.5 * aside * aside).exp()
-}
-
 /// From a third of the picture's half width on, the target counts more than its trail.
 fn view_limit(camera: &CameraModel, mount: &CameraMount) -> Option<ViewLimit> {
     let half = 0.5 * camera.horizontal_fov().ok()?;
     let camera_forward_m = mount.forward_m.max(0.0);
     Some(ViewLimit { camera_forward_m, from_rad: 0.33 * half, until_rad: 0.75 * half })
-}
-
-/// Where the target should be in a frame.
-struct Expectation {
-    tangent: f64,
-    tangent_std: f64,
-    depth_m: f64,
-    depth_std_m: f64,
-    status: TrackStatus,
-}
-
-fn expectation(
-    fusion: &mut TargetFilter,
-    odometry: &OwnOdometry,
-    stamp: Stamp,
-) -> Option<Expectation> {
-    let track: Track = fusion.track_at(stamp).ok()?;
-    let motion = track.motion?;
-    let fixed_from_camera = odometry.camera_at(stamp)?;
-    let there = fixed_from_camera.inverse().transform_point(&motion.position);
-    let turn = fixed_from_camera.rotation().transpose();
-    let covariance = turn * motion.position_covariance() * turn.transpose();
-    let depth_m = there.x.max(0.1);
-    Some(Expectation {
-        tangent: there.y / depth_m,
-        tangent_std: covariance[(1, 1)].max(0.0).sqrt() / depth_m,
-        depth_m,
-        depth_std_m: covariance[(0, 0)].max(0.0).sqrt(),
-        status: track.status,
-    })
-}
-
-impl Expectation {
-    /// How well a box suits, the higher the better; `None`: not at all.
-    fn likeness(
-        &self,
-        tangent: f64,
-        std: f64,
-        bbox: &BoundingBox,
-        height: Option<f64>,
-    ) -> Option<f64> {
-        // A lost target may have turned round; it is known by its size alone.
-        let wide = if self.status == TrackStatus::Lost { 3.0 } else { 1.0 };
-        let side = (tangent - self.tangent) / (self.tangent_std * wide).hypot(std).hypot(0.02);
-        let size = height.map_or(0.0, |height| {
-            let expected = height / self.depth_m;
-            let log = (f64::from(bbox.height()) / expected).ln();
-            log / (wide * self.depth_std_m / self.depth_m).hypot(HEIGHT_STD)
-        });
-        let distance = side.hypot(size);
-        (distance < 3.5).then_some(-distance)
-    }
 }

@@ -18,6 +18,7 @@
 //! an answer is there, [`Follower::command`] once a frame, [`Follower::idle`] by a timer
 //! of 50 ms or less when no frame came.
 
+mod choice;
 mod follower;
 mod odometry;
 mod ranging;
