@@ -189,9 +189,8 @@ impl Follower {
         let stamp = frame.stamp();
         let predictor = self.controller.predictor();
         let promised = (predictor.speed_at(stamp), predictor.yaw_rate_at(stamp));
-        let motion = self.ranging.frame(frame)?;
-        let seen = self.odometry.seen(stamp, motion);
-        let step = match seen {
+        let background = self.ranging.frame(frame)?;
+        let step = match background.and_then(|step| self.odometry.seen(&step)) {
             // Turns are seen exactly, but lengths have the scale error of the depth map in
             // them: averaged over several maps, they correct what the commands promise.
             Some((speed, yaw_rate)) => {

@@ -24,8 +24,10 @@ mod odometry;
 mod ranging;
 mod ring;
 mod sight;
+mod step;
 
 pub use follower::{Follower, FollowerError, FollowerOptions, FrameReport};
 pub use odometry::{CameraMount, OwnOdometry};
 pub use ranging::{Ranging, RangingError, RangingOptions, SeenRange};
 pub use sight::{Sight, SightOptions, TargetBox};
+pub use step::BackgroundStep;

@@ -1,9 +1,9 @@
 //! The robot's own place, frame by frame.
 
 use crate::ring::{Ring, Stamped};
+use crate::step::BackgroundStep;
 use realnet_core::nalgebra::{UnitQuaternion, Vector3};
 use realnet_core::{Pose, Pose2, Stamp};
-use realnet_range::motion::Motion;
 
 /// Poses that are remembered, for measurements that come late.
 const POSES: usize = 128;
@@ -64,9 +64,6 @@ pub struct OwnOdometry {
     max_speed: f64,
     poses: Ring<(Stamp, Pose2), POSES>,
     last: Option<(Stamp, Pose2)>,
-    /// The depth map's frame that the last motion was from, and the camera's place
-    /// in it at the last frame.
-    then: Option<(Stamp, Pose)>,
 }
 
 impl OwnOdometry {
@@ -80,7 +77,6 @@ impl OwnOdometry {
             max_speed,
             poses: Ring::new(),
             last: None,
-            then: None,
         }
     }
 
@@ -88,16 +84,14 @@ impl OwnOdometry {
     /// positive to the left) since the last frame, as the background shows them; `None` if
     /// it does not, or shows what no robot does. The speed has the depth map's scale error
     /// in it.
-    pub fn seen(&mut self, stamp: Stamp, motion: &Motion) -> Option<(f64, f64)> {
-        let now = motion.then_from_now();
-        let before = std::mem::replace(&mut self.then, now.map(|now| (motion.then, now)));
-        let seconds = stamp.seconds_since(self.last?.0);
-        // Both frames must have been seen from the same depth map: only then do its
-        // errors cancel.
-        let (_, before) = before.filter(|(then, _)| *then == motion.then && seconds > 0.0)?;
-        let moved =
-            self.base_from_optical * before.inverse() * now? * self.base_from_optical.inverse();
-        let twist = moved.log() / seconds;
+    #[must_use]
+    pub fn seen(&self, step: &BackgroundStep) -> Option<(f64, f64)> {
+        if !(step.of_one_map && step.seconds > 0.0) {
+            return None;
+        }
+        let before_from_now = step.now_from_before.inverse();
+        let moved = self.base_from_optical * before_from_now * self.base_from_optical.inverse();
+        let twist = moved.log() / step.seconds;
         let (speed, yaw_rate) = (twist[0], twist[5]);
         let believed = speed.abs() <= self.max_speed && yaw_rate.abs() <= MAX_YAW_RATE;
         believed.then_some((speed, yaw_rate))

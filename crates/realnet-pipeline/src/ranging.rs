@@ -2,6 +2,7 @@
 
 use crate::odometry::CameraMount;
 use crate::sight::TargetBox;
+use crate::step::{BackgroundStep, Steps};
 use realnet_core::nalgebra::{Point3, UnitQuaternion, Vector6};
 use realnet_core::{BoundingBox, CameraModel, DepthMap, Frame, Stamp};
 use realnet_range::cues::{
@@ -9,7 +10,7 @@ use realnet_range::cues::{
     GroundFitOptions, GroundPlane, GroundPrior, GroundRange, OptionError, PeakRule, PitchFilter,
     PitchFilterOptions, PitchMeasurement, SigmaRule, Uncertain, pitch_from_translation,
 };
-use realnet_range::motion::{BodyMotion, Motion, MotionError, MotionOptions, MotionTracker};
+use realnet_range::motion::{BodyMotion, MotionError, MotionOptions, MotionTracker};
 use realnet_vision::Pyramid;
 use thiserror::Error;
 
@@ -104,10 +105,7 @@ pub struct Ranging {
     depth_in_box: DepthInBox,
     ground_fit: GroundFit,
     pitch: PitchFilter,
-    /// Of the last frame: the map's frame, and the background's rotation since.
-    before: Option<(Stamp, Stamp, realnet_core::Pose)>,
-    /// Of the kept frame: the map's frame then, and the background's motion since.
-    kept: Option<(Stamp, realnet_core::Pose)>,
+    steps: Steps,
     key: Option<Key>,
 }
 
@@ -136,41 +134,35 @@ impl Ranging {
             depth_in_box: DepthInBox::new(options.depth_in_box)?,
             ground_fit: GroundFit::new(GroundFitOptions::default())?,
             pitch: PitchFilter::new(pitch, filter)?,
-            before: None,
-            kept: None,
+            steps: Steps::default(),
             key: None,
         })
     }
 
-    /// Takes a frame and finds the motion since the depth map's.
+    /// Takes a frame and finds the motion since the depth map's. Answers with that of the
+    /// background since the last frame.
     ///
     /// # Errors
     /// [`MotionError`] for a frame of another size or out of order; it is left out.
-    pub fn frame(&mut self, frame: &Frame) -> Result<&Motion, MotionError> {
+    pub fn frame(&mut self, frame: &Frame) -> Result<Option<BackgroundStep>, MotionError> {
         self.tracker.push(frame)?;
-        let motion = self.tracker.estimate();
-        nod(&mut self.pitch, &mut self.before, motion);
-        Ok(motion)
+        let step = self.steps.next(self.tracker.estimate());
+        if let Some(step) = &step {
+            self.nod(step);
+        }
+        Ok(step)
     }
 
     /// The present frame goes to the depth network.
     pub fn keep(&mut self) {
         self.tracker.keep();
-        let background =
-            self.tracker.motion().and_then(|m| Some((m.then, m.background.as_ref().ok()?)));
-        self.kept = background.map(|(then, body)| (then, body.now_from_then()));
+        self.steps.keep(self.tracker.motion());
     }
 
     /// The present frame.
     #[must_use]
     pub fn picture(&self) -> &Pyramid {
         self.tracker.picture()
-    }
-
-    /// The motion since the depth map's frame.
-    #[must_use]
-    pub fn motion(&self) -> Option<&Motion> {
-        self.tracker.motion()
     }
 
     /// Pitch of the camera against the ground, radians, positive: nose down.
@@ -206,13 +198,7 @@ impl Ranging {
         let kept = self.tracker.set_depth(map, gate.map(|foreground| foreground.gate).as_ref());
         let point = found.zip(at).and_then(|(found, at)| self.lift(&at.bbox, found.depth_m));
         if kept.is_ok() {
-            // The last frame as seen from the new map's: no rotation is passed over.
-            self.before = match (self.before, self.kept.take()) {
-                (Some((then, stamp, last)), Some((kept_then, kept))) if then == kept_then => {
-                    Some((map.stamp(), stamp, last * kept.inverse()))
-                }
-                _ => None,
-            };
+            self.steps.rebase();
             self.level_by(map, scaled);
             self.key = point.zip(at).map(|(point, at)| Key {
                 stamp: map.stamp(),
@@ -270,6 +256,20 @@ impl Ranging {
         let std_rad = measured.std_rad.hypot(MAP_BEND_RAD);
         // Numbers out of range leave the filter as it was.
         let _ = self.pitch.update(&PitchMeasurement { std_rad, ..measured });
+    }
+
+    /// Follows knocks: a vehicle on the ground does not pitch by itself, so small rotations
+    /// about the lateral axis are noise of the flow, and only a large one moves the camera
+    /// against the ground.
+    fn nod(&mut self, step: &BackgroundStep) {
+        let turn = step.now_from_before.rotation();
+        let (turn, std) = if step.is_sure && turn.scaled_axis().x.abs() > KNOCK_RAD {
+            (turn, step.rotation_std)
+        } else {
+            (UnitQuaternion::identity(), 0.0)
+        };
+        // Numbers out of range leave the filter as it was.
+        let _ = self.pitch.predict(&turn, std, step.seconds.max(0.0));
     }
 
     fn fit_ground(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> Option<GroundPlane> {
@@ -387,18 +387,13 @@ impl Ranging {
         self.camera.width()
     }
 
-    /// Whether neither side of the picture cuts the box.
-    #[must_use]
-    pub fn is_wide(&self, bbox: &BoundingBox) -> bool {
-        bbox.x0 > BORDER_PX && bbox.x1 < self.camera.width() as f32 - BORDER_PX
-    }
-
     /// Whether no edge of the picture cuts the box.
     #[must_use]
     pub fn is_whole(&self, bbox: &BoundingBox) -> bool {
-        self.is_wide(bbox)
-            && bbox.y0 > BORDER_PX
-            && bbox.y1 < self.camera.height() as f32 - BORDER_PX
+        let inside =
+            |low: f32, high: f32, size: u32| low > BORDER_PX && high < size as f32 - BORDER_PX;
+        inside(bbox.x0, bbox.x1, self.camera.width())
+            && inside(bbox.y0, bbox.y1, self.camera.height())
     }
 
     fn lift(&self, bbox: &BoundingBox, depth_m: f64) -> Option<Point3<f64>> {
@@ -424,35 +419,4 @@ fn depth_std(body: &BodyMotion, point: &Point3<f64>) -> f64 {
     // exp([v; w]) moves p by v + w x p.
     let row = Vector6::new(0.0, 0.0, 1.0, point.y, -point.x, 0.0);
     (body.estimate.covariance * row).dot(&row).max(0.0).sqrt()
-}
-
-/// Follows knocks: a vehicle on the ground does not pitch by itself, so small rotations
-/// about the lateral axis are noise of the flow, and only a large one moves the camera
-/// against the ground.
-fn nod(
-    pitch: &mut PitchFilter,
-    before: &mut Option<(Stamp, Stamp, realnet_core::Pose)>,
-    motion: &Motion,
-) {
-    let Some(body) = motion.background.as_ref().ok() else {
-        *before = None;
-        return;
-    };
-    let pose = body.now_from_then();
-    if let Some((then, stamp, last)) = *before
-        && then == motion.then
-    {
-        let step = (pose * last.inverse()).rotation();
-        let seconds = motion.now.seconds_since(stamp).max(0.0);
-        let sure = 2 * body.estimate.inliers > body.corners;
-        let knocked = sure && step.scaled_axis().x.abs() > KNOCK_RAD;
-        let (turn, std) = if knocked {
-            (step, body.estimate.rotation_std() * std::f64::consts::SQRT_2)
-        } else {
-            (UnitQuaternion::identity(), 0.0)
-        };
-        // Numbers out of range leave the filter as it was.
-        let _ = pitch.predict(&turn, std, seconds);
-    }
-    *before = Some((motion.then, motion.now, pose));
 }

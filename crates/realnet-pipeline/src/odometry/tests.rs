@@ -1,8 +1,11 @@
 use super::*;
+use crate::step::Steps;
 use realnet_core::nalgebra::{Matrix6, Point3};
 use realnet_core::{CameraModel, Distortion, Frame, Intrinsics};
 use realnet_pose::{Estimate, Origin};
-use realnet_range::motion::{BodyMotion, MotionFailure, MotionOptions, MotionTracker, Start};
+use realnet_range::motion::{
+    BodyMotion, Motion, MotionFailure, MotionOptions, MotionTracker, Start,
+};
 
 /// A camera that sits aside of the axle and looks down a little.
 const MOUNT: CameraMount =
@@ -11,6 +14,23 @@ const FAST: f64 = 3.0;
 
 fn at(frame: u64) -> Stamp {
     Stamp::of_frame(frame, 30.0)
+}
+
+/// An odometry that is shown motions as they come.
+struct Watch {
+    steps: Steps,
+    odometry: OwnOdometry,
+}
+
+impl Watch {
+    fn new(max_speed: f64) -> Self {
+        Self { steps: Steps::default(), odometry: OwnOdometry::new(&MOUNT, max_speed) }
+    }
+
+    fn seen(&mut self, motion: &Motion) -> Option<(f64, f64)> {
+        let step = self.steps.next(motion)?;
+        self.odometry.seen(&step)
+    }
 }
 
 /// A motion of nothing, to be filled in.
@@ -56,18 +76,17 @@ fn an_arc_is_seen_as_the_speed_and_the_turn_of_the_axle() {
     let (speed, yaw_rate) = (0.7, -0.9);
     let place = |frame: u64| Pose2::IDENTITY.driven(speed, yaw_rate, frame as f64 / 30.0);
     // Whatever is seen is believed: it must be right.
-    let mut odometry = OwnOdometry::new(&MOUNT, 1e3);
+    let mut watch = Watch::new(1e3);
     for frame in 0..60 {
         // a new map every ten frames, of the frame four before
         let key = (frame / 10 * 10_u64).saturating_sub(4);
-        let seen = odometry
-            .seen(at(frame), &motion((at(key), place(key)), (at(frame), place(frame)), 1.0));
+        let seen = watch.seen(&motion((at(key), place(key)), (at(frame), place(frame)), 1.0));
         assert_eq!(seen.is_some(), frame % 10 != 0, "frame {frame}: both of one map");
         if let Some((v, w)) = seen {
             assert!((v - speed).abs() < 1e-6 && (w - yaw_rate).abs() < 1e-6, "{v} {w}");
         }
-        odometry.step(at(frame), seen.unwrap_or((speed, yaw_rate)));
-        let found = odometry.pose_at(at(frame)).unwrap();
+        watch.odometry.step(at(frame), seen.unwrap_or((speed, yaw_rate)));
+        let found = watch.odometry.pose_at(at(frame)).unwrap();
         let truth = place(frame);
         assert!((found.position() - truth.position()).norm() < 1e-6, "{found:?} {truth:?}");
         assert!((found.heading - truth.heading).abs() < 1e-6, "{found:?} {truth:?}");
@@ -77,10 +96,9 @@ fn an_arc_is_seen_as_the_speed_and_the_turn_of_the_axle() {
 #[test]
 fn a_wrong_scale_is_in_the_speed_and_not_in_the_turn() {
     let place = |frame: u64| Pose2::IDENTITY.driven(0.6, 0.5, frame as f64 / 30.0);
-    let mut odometry = OwnOdometry::new(&MOUNT, FAST);
+    let mut watch = Watch::new(FAST);
     for frame in 0..2 {
-        let seen =
-            odometry.seen(at(frame), &motion((at(0), place(0)), (at(frame), place(frame)), 1.2));
+        let seen = watch.seen(&motion((at(0), place(0)), (at(frame), place(frame)), 1.2));
         if let Some((v, w)) = seen {
             assert!((w - 0.5).abs() < 1e-6, "{w}");
             // The lever to the axle is known: only what the camera moved is scaled. Its
@@ -88,7 +106,6 @@ fn a_wrong_scale_is_in_the_speed_and_not_in_the_turn() {
             let expected = 1.2 * (0.6 + 0.5 * 0.04) - 0.5 * 0.04;
             assert!((v - expected).abs() < 1e-3, "{v} {expected}");
         }
-        odometry.step(at(frame), (0.6, 0.5));
     }
 }
 
@@ -97,21 +114,16 @@ fn what_no_robot_does_and_what_is_not_seen_is_not_believed() {
     let place = |frame: u64, speed: f64| Pose2::new(speed * frame as f64 / 30.0, 0.0, 0.0);
     let shown =
         |frame: u64, speed| motion((at(0), place(0, speed)), (at(frame), place(frame, speed)), 1.0);
-    let mut odometry = OwnOdometry::new(&MOUNT, FAST);
-    assert_eq!(odometry.seen(at(1), &shown(1, 0.5)), None, "there was no frame before");
-    odometry.step(at(1), (0.0, 0.0));
-    assert!(odometry.seen(at(2), &shown(2, 0.5)).is_some());
-    odometry.step(at(2), (0.5, 0.0));
+    let mut watch = Watch::new(FAST);
+    assert_eq!(watch.seen(&shown(1, 0.5)), None, "there was no frame before");
+    assert!(watch.seen(&shown(2, 0.5)).is_some());
     // 0.03 m after 0.5 m/s for two frames: 20 m/s
-    assert_eq!(odometry.seen(at(3), &shown(3, 7.0)), None);
-    odometry.step(at(3), (0.5, 0.0));
+    assert_eq!(watch.seen(&shown(3, 7.0)), None);
     let mut dark = shown(4, 0.5);
     dark.background = Err(MotionFailure::NotEstimated);
-    assert_eq!(odometry.seen(at(4), &dark), None);
-    odometry.step(at(4), (0.5, 0.0));
-    assert_eq!(odometry.seen(at(5), &shown(5, 0.5)), None, "nothing to compare with");
-    odometry.step(at(5), (0.5, 0.0));
-    let (speed, _) = odometry.seen(at(6), &shown(6, 0.5)).unwrap();
+    assert_eq!(watch.seen(&dark), None);
+    assert_eq!(watch.seen(&shown(5, 0.5)), None, "nothing to compare with");
+    let (speed, _) = watch.seen(&shown(6, 0.5)).unwrap();
     assert!((speed - 0.5).abs() < 1e-6);
 }
 
@@ -130,4 +142,30 @@ fn the_newest_places_are_remembered() {
     // A stamp that goes back moves nothing.
     odometry.step(at(3), (0.3, 1.0));
     assert_eq!(odometry.last().unwrap().1, pose);
+}
+
+#[test]
+fn a_new_map_passes_no_rotation_over_but_its_lengths_are_not_compared() {
+    let place = |frame: u64| Pose2::IDENTITY.driven(0.6, 0.5, frame as f64 / 30.0);
+    let shown = |key: u64, frame: u64, scale| {
+        motion((at(key), place(key)), (at(frame), place(frame)), scale)
+    };
+    let mut steps = Steps::default();
+    for frame in 0..6 {
+        let step = steps.next(&shown(0, frame, 1.0));
+        assert!(step.is_none_or(|step| step.of_one_map));
+        if frame == 2 {
+            steps.keep(Some(&shown(0, 2, 1.0)));
+        }
+    }
+    steps.rebase();
+    // The new map errs by a tenth.
+    let step = steps.next(&shown(2, 6, 1.1)).unwrap();
+    assert!(!step.of_one_map);
+    assert!((step.now_from_before.rotation().angle() - 0.5 / 30.0).abs() < 1e-6, "{step:?}");
+    assert_eq!(OwnOdometry::new(&MOUNT, FAST).seen(&step), None);
+    assert!(steps.next(&shown(2, 7, 1.1)).unwrap().of_one_map);
+    // Without a frame that was kept nothing is known of the next step.
+    steps.rebase();
+    assert!(steps.next(&shown(5, 8, 1.0)).is_none());
 }
