@@ -108,6 +108,10 @@ pub struct FrameReport {
 
 /// Follows a target: frames go in at once, detections and depth maps when they are
 /// ready, commands come out. No thread, no clock: the caller says what time it is.
+///
+/// Answers may be late: see [`Sight`] for how late a detection may be. Depth maps may be as
+/// late as [`TargetOptions::horizon_s`] to count as a range of their own, and up to 4 s to
+/// be where fast ranges start.
 pub struct Follower {
     options: FollowerOptions,
     sight: Sight,
@@ -259,6 +263,12 @@ impl Follower {
     /// fast ranges.
     pub fn keep_for_depth(&mut self) {
         self.ranging.keep();
+    }
+
+    /// The present frame goes to the detector, see [`Sight::keep_for_detector`]. Without any
+    /// call every frame is kept as if it did.
+    pub fn keep_for_detector(&mut self) {
+        self.sight.keep_for_detector();
     }
 
     /// Takes what the detector found on the frame of `stamp`. Answers with the target's

@@ -14,13 +14,16 @@
 //! | [`realnet_control::Controller`] | steering and speed, and stops with their reasons |
 //!
 //! Who calls it: [`Follower::frame`] for each frame, [`Follower::keep_for_depth`] when the
-//! depth network takes that frame, [`Follower::detections`] and [`Follower::depth`] when
+//! depth network takes that frame, [`Follower::keep_for_detector`] when the detector does
+//! (where it does not take every one), [`Follower::detections`] and [`Follower::depth`] when
 //! an answer is there, [`Follower::command`] once a frame, [`Follower::idle`] by a timer
 //! of 50 ms or less when no frame came.
 
 mod choice;
 mod follower;
+mod hold;
 mod odometry;
+mod pictures;
 mod ranging;
 mod ring;
 mod sight;

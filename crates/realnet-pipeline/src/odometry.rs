@@ -1,12 +1,9 @@
 //! The robot's own place, frame by frame.
 
-use crate::ring::{Ring, Stamped};
+use crate::ring::{KEPT, Ring, Stamped};
 use crate::step::BackgroundStep;
 use realnet_core::nalgebra::{UnitQuaternion, Vector3};
 use realnet_core::{Pose, Pose2, Stamp};
-
-/// Poses that are remembered, for measurements that come late.
-const POSES: usize = 128;
 
 /// Faster turns are no robot's, rad/s: one wild motion would turn the fixed frame for good.
 const MAX_YAW_RATE: f64 = 8.0;
@@ -62,7 +59,7 @@ pub struct OwnOdometry {
     mount: CameraMount,
     base_from_optical: Pose,
     max_speed: f64,
-    poses: Ring<(Stamp, Pose2), POSES>,
+    poses: Ring<(Stamp, Pose2), KEPT>,
     last: Option<(Stamp, Pose2)>,
 }
 

@@ -2,13 +2,17 @@
 
 use realnet_core::Stamp;
 
+/// Items that are kept of small things: four seconds at 120 frames a second, the latest
+/// that an answer of a network may come, and more at fewer frames.
+pub(crate) const KEPT: usize = 480;
+
 /// Something that belongs to a frame.
 pub(crate) trait Stamped {
     /// Exposure time of that frame.
     fn stamp(&self) -> Stamp;
 }
 
-/// Keeps the newest `N`. All memory that an item holds is used again.
+/// Keeps the newest `N`, in memory that is taken once.
 #[derive(Clone, Debug)]
 pub(crate) struct Ring<T, const N: usize> {
     items: Vec<T>,
@@ -16,7 +20,7 @@ pub(crate) struct Ring<T, const N: usize> {
     oldest: usize,
 }
 
-impl<T: Stamped, const N: usize> Ring<T, N> {
+impl<T: Stamped + Copy, const N: usize> Ring<T, N> {
     pub(crate) fn new() -> Self {
         Self { items: Vec::with_capacity(N), oldest: 0 }
     }
@@ -31,27 +35,20 @@ impl<T: Stamped, const N: usize> Ring<T, N> {
         self.items.iter_mut().find(|item| item.stamp() == stamp)
     }
 
-    /// The item that the next one takes the place of; `None` while there is room.
-    pub(crate) fn leaving(&self) -> Option<&T> {
-        if self.items.len() < N { None } else { self.items.get(self.oldest) }
-    }
-
-    /// Makes the next item: of what stands in its place, or anew.
-    pub(crate) fn put(&mut self, again: impl FnOnce(&mut T), anew: impl FnOnce() -> T) {
+    /// Adds an item; the oldest leaves when all places are taken.
+    pub(crate) fn push(&mut self, item: T) {
         if self.items.len() < N {
-            self.items.push(anew());
-        } else if let Some(item) = self.items.get_mut(self.oldest) {
-            again(item);
+            self.items.push(item);
+        } else if let Some(place) = self.items.get_mut(self.oldest) {
+            *place = item;
             self.oldest = (self.oldest + 1) % N;
         }
     }
 
-    /// Adds an item that holds no memory.
-    pub(crate) fn push(&mut self, item: T)
-    where
-        T: Copy,
-    {
-        self.put(|place| *place = item, || item);
+    /// Forgets all items.
+    pub(crate) fn clear(&mut self) {
+        self.items.clear();
+        self.oldest = 0;
     }
 }
 
@@ -69,12 +66,15 @@ mod tests {
     fn the_newest_are_kept_in_turn() {
         let mut ring = Ring::<i64, 3>::new();
         for item in 0..7 {
-            assert_eq!(ring.leaving().copied(), (item >= 3).then_some(item - 3));
             ring.push(item);
             for old in 0..=item {
                 let kept = (old > item - 3).then_some(old);
                 assert_eq!(ring.get(Stamp::from_nanos(old)).copied(), kept);
             }
         }
+        ring.clear();
+        assert!((0..7).all(|old| ring.get(Stamp::from_nanos(old)).is_none()));
+        (10..14).for_each(|item| ring.push(item));
+        assert_eq!(ring.items, [13, 11, 12]);
     }
 }

@@ -1,14 +1,10 @@
 //! The target's box in every frame, from detections that come late.
 
-use crate::ring::{Ring, Stamped};
+use crate::hold::Hold;
+use crate::pictures::Pictures;
 use realnet_core::{BoundingBox, Detection, Stamp};
-use realnet_range::carry::{BoxCarrier, BoxMotion, CarryError, CarryOptions};
+use realnet_range::carry::{BoxCarrier, CarryError, CarryOptions};
 use realnet_vision::Pyramid;
-
-/// Frames that are kept for late detections.
-const FRAMES: usize = 12;
-/// Boxes that are remembered, for depth maps that come later still.
-const BOXES: usize = 64;
 
 /// How a target is held on to between detections.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,9 +22,12 @@ pub struct SightOptions {
     /// A target is taken up when it was found so many times in a row: networks see
     /// phantoms.
     pub hits: u32,
-    /// Hits are in a row when no more than this lies between them, seconds.
+    /// Hits are in a row when no more than this lies between them, seconds, whether or not
+    /// the detector looked between them; of a slower detector those of two looks one after
+    /// the other are, if flow carried the box from one to the other.
     pub hits_within_s: f64,
-    /// For so long a box is carried without any word from the detector, seconds.
+    /// For so long a box is carried after the detector's last word of it came, seconds:
+    /// longer than the slowest detector takes from one to the next.
     pub carry_for_s: f64,
     /// For so long it is carried although the detector looked and did not find it,
     /// seconds.
@@ -119,29 +118,39 @@ impl TargetBox {
     }
 }
 
-/// Where carrying starts: a box whose frame is still there.
-#[derive(Clone, Copy, Debug)]
-struct Anchor {
-    at: TargetBox,
-    /// From the anchor to the last frame it was carried to.
-    motion: BoxMotion,
-    carried_to: Stamp,
+/// What was found but is not yet believed.
+#[derive(Clone, Debug)]
+struct Candidate {
+    hold: Hold,
+    last: Option<TargetBox>,
+    hits: u32,
+    /// The detector looked since and did not find it.
+    missed: bool,
+}
+
+impl Candidate {
+    fn clear(&mut self) {
+        self.hold.clear();
+        (self.last, self.hits, self.missed) = (None, 0, false);
+    }
 }
 
 /// Holds on to the target's box: takes frames at once and detections when they
 /// come, answers with the box in the present frame.
+///
+/// The detector may be of any rate, and its answers may be late. Pictures are kept for
+/// 1.5 s (at up to 60 a second), or, where [`Sight::keep_for_detector`] says which ones the
+/// detector is given, only those, for up to 4 s until it has answered. On a frame whose
+/// picture is not kept a detection can only confirm a box that flow carried there.
 pub struct Sight {
     options: SightOptions,
     carrier: BoxCarrier,
-    frames: Ring<Pyramid, FRAMES>,
-    boxes: Ring<TargetBox, BOXES>,
-    anchor: Option<Anchor>,
+    pictures: Pictures,
+    target: Hold,
+    candidate: Candidate,
     now: Option<Stamp>,
     /// Since when the detector looks and does not find the box.
     unsupported_since: Option<Stamp>,
-    /// What was found but is not yet believed.
-    candidate: Option<(TargetBox, u32)>,
-    last_error: Option<CarryError>,
 }
 
 impl Sight {
@@ -154,75 +163,34 @@ impl Sight {
         Ok(Self {
             options,
             carrier: BoxCarrier::new(options.carry)?,
-            frames: Ring::new(),
-            boxes: Ring::new(),
-            anchor: None,
+            pictures: Pictures::default(),
+            target: Hold::new(),
+            candidate: Candidate { hold: Hold::new(), last: None, hits: 0, missed: false },
             now: None,
             unsupported_since: None,
-            candidate: None,
-            last_error: None,
         })
     }
 
     /// Takes the next frame and carries the box into it.
     pub fn frame(&mut self, picture: &Pyramid) -> Option<TargetBox> {
-        let stamp = picture.stamp();
-        self.leave_behind();
-        self.frames.put(|place| place.copy_from(picture), || picture.clone());
-        self.now = Some(stamp);
-        let carried = self.carry_to(stamp);
-        if let Some(carried) = carried {
-            self.remember(carried);
+        let Self { carrier, pictures, target, candidate, .. } = self;
+        let (now, for_s) = (picture.stamp(), self.options.carry_for_s);
+        pictures.put(picture, |stamp| target.needs(stamp) || candidate.hold.needs(stamp));
+        self.now = Some(now);
+        let carried = target.carry(carrier, pictures, now, for_s);
+        if carried.is_some() {
+            candidate.clear();
+        } else {
+            candidate.hold.carry(carrier, pictures, now, for_s);
         }
         carried
     }
 
-    /// The anchor's frame is about to be overwritten: the newest carried box becomes
-    /// the anchor.
-    fn leave_behind(&mut self) {
-        let Some(leaving) = self.frames.leaving().map(Pyramid::stamp) else { return };
-        if self.anchor.is_some_and(|anchor| anchor.at.stamp <= leaving) {
-            self.anchor = self.anchor.and_then(|anchor| {
-                let at = self.box_at(anchor.carried_to).filter(|at| at.stamp > leaving)?;
-                Some(Anchor { at, motion: BoxMotion::NONE, carried_to: at.stamp })
-            });
-        }
-    }
-
-    fn carry_to(&mut self, now: Stamp) -> Option<TargetBox> {
-        self.last_error = None;
-        let anchor = self.anchor?;
-        if now.seconds_since(anchor.at.detected) > self.options.carry_for_s {
-            self.anchor = None;
-            return None;
-        }
-        // Speed is taken to be constant: twice as far after twice the time.
-        let seconds = anchor.carried_to.seconds_since(anchor.at.stamp);
-        let ahead = now.seconds_since(anchor.at.stamp);
-        let prediction =
-            if seconds > 0.0 { stretched(anchor.motion, ahead / seconds) } else { BoxMotion::NONE };
-        let (from, to) = (self.frames.get(anchor.at.stamp)?, self.frames.get(now)?);
-        match self.carrier.carry(from, to, &anchor.at.bbox, prediction) {
-            Ok(carried) => {
-                let hypot = |a: f32, b: f32| a.hypot(b);
-                let [x, y] = anchor.at.center_std;
-                let [dx, dy] = carried.center_sd;
-                let side = carried.bbox.width().max(carried.bbox.height());
-                let at = TargetBox {
-                    stamp: now,
-                    bbox: carried.bbox,
-                    center_std: [hypot(x, dx), hypot(y, dy)],
-                    edge_std: hypot(anchor.at.edge_std, 0.5 * carried.size_sd * side),
-                    detected: anchor.at.detected,
-                };
-                self.anchor = Some(Anchor { motion: carried.motion, carried_to: now, ..anchor });
-                Some(at)
-            }
-            Err(error) => {
-                self.last_error = Some(error);
-                None
-            }
-        }
+    /// The detector is given the present frame. From the first call on only frames of which
+    /// this is said are kept for detections, which takes less memory and allows for later
+    /// ones.
+    pub fn keep_for_detector(&mut self) {
+        self.pictures.await_newest();
     }
 
     /// Takes what the detector found on the frame of `stamp`, whenever it comes. What is
@@ -237,11 +205,15 @@ impl Sight {
         allowed: impl Fn(&Detection) -> bool,
         plausible: impl Fn(&Detection) -> Option<f64>,
     ) -> Option<TargetBox> {
-        let known = self.box_at(stamp).is_some() || self.frames.get(stamp).is_some();
-        if !known || self.anchor.is_some_and(|anchor| anchor.at.detected >= stamp) {
-            return None; // of no frame that is remembered, or older than what is known
+        self.pictures.answered(stamp);
+        if self.target.detected().is_some_and(|last| last >= stamp) {
+            return None; // older than what is known
         }
-        let at = self.box_at(stamp);
+        let is_kept = self.pictures.get(stamp).is_some();
+        let at = self.target.trace(&mut self.carrier, &self.pictures, stamp);
+        if at.is_none() && !is_kept {
+            return None; // of no frame that is remembered
+        }
         let least = self.options.min_confidence;
         let wanted = detections
             .iter()
@@ -253,110 +225,79 @@ impl Sight {
                 .filter(|d| d.bbox.iou(&at.bbox) >= self.options.min_iou)
         });
         // While flow holds the box, what lies elsewhere is another one.
-        let held = at.is_some() && self.anchor.is_some();
+        let held = at.is_some() && self.target.is_holding();
         let chosen = overlap.or_else(|| {
             if held {
                 return None;
             }
             let rated = wanted.filter(|d| plausible(d).is_some());
-            let found = best(rated, |d| plausible(d).unwrap_or(f64::NEG_INFINITY))?;
-            self.believe(stamp, found).then_some(found)
+            let Some(found) = best(rated, |d| plausible(d).unwrap_or(f64::NEG_INFINITY)) else {
+                self.candidate.missed |= self.candidate.last.is_some_and(|at| at.stamp < stamp);
+                return None;
+            };
+            self.believe(stamp, found, is_kept).then_some(found)
         });
         let Some(chosen) = chosen else {
             let since = *self.unsupported_since.get_or_insert(stamp);
             if stamp.seconds_since(since) >= self.options.unsupported_for_s {
-                self.anchor = None;
+                self.target.release();
             }
             return None;
         };
         self.unsupported_since = None;
+        self.candidate.clear();
         let found = TargetBox::of_detection(stamp, chosen.bbox, &self.options);
-        // Carried on from here it will be near where it was carried to so far.
-        let (motion, carried_to) = match self.anchor {
-            Some(anchor) => match (self.box_at(anchor.carried_to), at) {
-                (Some(last), Some(at)) if anchor.carried_to > stamp => {
-                    (between(&at.bbox, &last.bbox), anchor.carried_to)
-                }
-                _ => (BoxMotion::NONE, stamp),
-            },
-            None => (BoxMotion::NONE, stamp),
-        };
-        if self.frames.get(stamp).is_some() {
-            self.anchor = Some(Anchor { at: found, motion, carried_to });
-        }
-        self.remember(found);
+        self.target.found(found, is_kept, self.now.unwrap_or(stamp));
         Some(found)
     }
 
     /// Counts how often a new target was found in a row, and says whether that is often
     /// enough. Messages that come twice, or behind newer ones, are no hits.
-    fn believe(&mut self, stamp: Stamp, found: &Detection) -> bool {
-        if self.candidate.is_some_and(|(last, _)| stamp <= last.stamp) {
+    fn believe(&mut self, stamp: Stamp, found: &Detection, is_kept: bool) -> bool {
+        if self.candidate.last.is_some_and(|last| stamp <= last.stamp) {
             return false;
         }
         let at = TargetBox::of_detection(stamp, found.bbox, &self.options);
-        let hits = match self.candidate {
-            Some((last, hits))
-                if stamp.seconds_since(last.stamp) <= self.options.hits_within_s
-                    && last.bbox.iou(&found.bbox) >= self.options.min_iou =>
-            {
-                hits + 1
-            }
-            _ => 1,
-        };
-        let enough = hits >= self.options.hits;
-        self.candidate = (!enough).then_some((at, hits));
-        enough
+        let hits = if self.is_candidate(&at) { self.candidate.hits + 1 } else { 1 };
+        if hits >= self.options.hits {
+            return true;
+        }
+        let candidate = &mut self.candidate;
+        candidate.clear();
+        (candidate.last, candidate.hits) = (Some(at), hits);
+        candidate.hold.found(at, is_kept, self.now.unwrap_or(stamp));
+        false
+    }
+
+    /// Whether this is the candidate once more.
+    fn is_candidate(&mut self, at: &TargetBox) -> bool {
+        let Self { candidate, carrier, pictures, options, .. } = self;
+        let Some(last) = candidate.last else { return false };
+        let is_there = |bbox: &BoundingBox| bbox.iou(&at.bbox) >= options.min_iou;
+        let seconds = at.stamp.seconds_since(last.stamp);
+        if seconds <= options.hits_within_s && is_there(&last.bbox) {
+            return true;
+        }
+        if candidate.missed || seconds > options.carry_for_s {
+            return false;
+        }
+        let carried = candidate.hold.trace(carrier, pictures, at.stamp);
+        carried.is_some_and(|carried| is_there(&carried.bbox))
     }
 
     /// The target's box on a frame, as far as it was seen or carried there.
     #[must_use]
     pub fn box_at(&self, stamp: Stamp) -> Option<TargetBox> {
-        self.boxes.get(stamp).copied()
+        self.target.box_at(stamp)
     }
 
-    /// The target's box in the present frame.
-    #[must_use]
-    pub fn present(&self) -> Option<TargetBox> {
-        self.box_at(self.now?)
-    }
-
-    /// Why the box was not carried into the present frame, if that was tried.
-    #[must_use]
-    pub fn lost_because(&self) -> Option<&CarryError> {
-        self.last_error.as_ref()
-    }
-
-    /// Whether there is a box to carry.
-    #[must_use]
-    pub fn is_holding(&self) -> bool {
-        self.anchor.is_some()
-    }
-
-    /// Lets go of the target.
-    pub fn release(&mut self) {
-        self.anchor = None;
+    /// Forgets all frames, for those of another time.
+    pub fn restart(&mut self) {
+        self.target.clear();
+        self.candidate.clear();
         self.unsupported_since = None;
-        self.candidate = None;
-    }
-
-    fn remember(&mut self, at: TargetBox) {
-        match self.boxes.get_mut(at.stamp) {
-            Some(known) => *known = at,
-            None => self.boxes.push(at),
-        }
-    }
-}
-
-impl Stamped for Pyramid {
-    fn stamp(&self) -> Stamp {
-        Self::stamp(self)
-    }
-}
-
-impl Stamped for TargetBox {
-    fn stamp(&self) -> Stamp {
-        self.stamp
+        self.pictures.restart();
+        self.now = None;
     }
 }
 
@@ -365,17 +306,4 @@ fn best<'a>(
     rate: impl Fn(&&'a Detection) -> f64,
 ) -> Option<&'a Detection> {
     detections.max_by(|a, b| rate(a).total_cmp(&rate(b)))
-}
-
-/// The same motion for `times` as long.
-fn stretched(motion: BoxMotion, times: f64) -> BoxMotion {
-    let times = times.clamp(0.0, 4.0) as f32;
-    BoxMotion { shift: motion.shift.map(|s| s * times), scale: motion.scale.powf(times) }
-}
-
-fn between(from: &BoundingBox, to: &BoundingBox) -> BoxMotion {
-    let ((x, y), (u, v)) = (from.center(), to.center());
-    let scale = (to.area() / from.area()).sqrt();
-    let scale = if scale.is_finite() && scale > 0.0 { scale } else { 1.0 };
-    BoxMotion { shift: [u - x, v - y], scale }
 }

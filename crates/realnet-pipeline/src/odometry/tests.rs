@@ -130,12 +130,12 @@ fn what_no_robot_does_and_what_is_not_seen_is_not_believed() {
 #[test]
 fn the_newest_places_are_remembered() {
     let mut odometry = OwnOdometry::new(&MOUNT, FAST);
-    let frames = 3 * POSES as u64;
+    let frames = 3 * KEPT as u64;
     for frame in 0..frames {
         odometry.step(at(frame), (0.3, 0.0));
     }
     let kept: Vec<u64> = (0..frames).filter(|i| odometry.pose_at(at(*i)).is_some()).collect();
-    assert_eq!(kept, (frames - POSES as u64..frames).collect::<Vec<_>>());
+    assert_eq!(kept, (frames - KEPT as u64..frames).collect::<Vec<_>>());
     let (stamp, pose) = odometry.last().unwrap();
     assert_eq!(stamp, at(frames - 1));
     assert!((pose.x - 0.3 * (frames - 1) as f64 / 30.0).abs() < 1e-6);
