@@ -30,6 +30,11 @@ const HEADING_SPEED: f64 = 0.2;
 /// Share of a whole box in what is known about their shape.
 const ASPECT_GAIN: f32 = 0.1;
 
+/// A frame is of another time when it is so much later than the last one, or so much
+/// earlier, seconds: no pause of the camera, and no message that was overtaken.
+const JUMP_AHEAD_S: f64 = 60.0;
+const JUMP_BACK_S: f64 = 1.0;
+
 /// Everything that can be set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FollowerOptions {
@@ -112,6 +117,11 @@ pub struct FrameReport {
 /// Answers may be late: see [`Sight`] for how late a detection may be. Depth maps may be as
 /// late as [`TargetOptions::horizon_s`] to count as a range of their own, and up to 4 s to
 /// be where fast ranges start.
+///
+/// A frame whose stamp is more than 60 s ahead of the last one's, or more than 1 s behind
+/// it, is refused. If the next one is refused too and follows on it by no more than 60 s, the
+/// clock was set: the follower starts again there, with no target, and what it knows of the
+/// camera's pitch and a stop that was requested stay. A single wild stamp costs its frame.
 pub struct Follower {
     options: FollowerOptions,
     sight: Sight,
@@ -127,6 +137,10 @@ pub struct Follower {
     /// Height of the target's box times its range, pixels x metres: to know it again.
     height: Option<f64>,
     trail: Vec<Vector2<f64>>,
+    /// Stamp of the last frame.
+    last: Option<Stamp>,
+    /// Stamp of a frame of another time, if that was the last one to come.
+    elsewhere: Option<Stamp>,
 }
 
 impl Follower {
@@ -151,6 +165,8 @@ impl Follower {
             aspect: None,
             height: None,
             trail: Vec::with_capacity(options.fusion.trail_capacity + options.fusion.capacity),
+            last: None,
+            elsewhere: None,
             options,
         })
     }
@@ -188,9 +204,11 @@ impl Follower {
     /// Takes the next frame.
     ///
     /// # Errors
-    /// [`MotionError`] for a frame of another size or out of order; it is left out.
+    /// [`MotionError`] for a frame of another size or out of order, which includes one of
+    /// another time (see [`Follower`]); it is left out.
     pub fn frame(&mut self, frame: &Frame) -> Result<FrameReport, MotionError> {
         let stamp = frame.stamp();
+        self.check_time(stamp)?;
         let predictor = self.controller.predictor();
         let promised = (predictor.speed_at(stamp), predictor.yaw_rate_at(stamp));
         let background = self.ranging.frame(frame)?;
@@ -205,6 +223,8 @@ impl Follower {
             None => promised,
         };
         self.odometry.step(stamp, step);
+        self.last = Some(stamp);
+        self.fusion.advance(stamp);
         let target = self.sight.frame(self.ranging.picture());
         let fast = self.ranging.fast(target.as_ref());
         let ground = target.and_then(|at| self.ranging.ground(&at, self.aside(&at)));
@@ -218,6 +238,33 @@ impl Follower {
             self.measure_range(&seen, RangeSource::Ground);
         }
         Ok(self.report(stamp, target, fast.map(|(seen, _)| seen), ground))
+    }
+
+    /// Whether a frame is of the time of the last one, or starts another.
+    fn check_time(&mut self, stamp: Stamp) -> Result<(), MotionError> {
+        let elsewhere = self.elsewhere.take();
+        let Some(last) = self.last else { return Ok(()) };
+        let seconds = stamp.seconds_since(last);
+        if (-JUMP_BACK_S..=JUMP_AHEAD_S).contains(&seconds) {
+            return Ok(()); // the tracker refuses those that were overtaken
+        }
+        let follows = |at: Stamp| stamp > at && stamp.seconds_since(at) <= JUMP_AHEAD_S;
+        if elsewhere.is_some_and(follows) {
+            return self.restart();
+        }
+        self.elsewhere = Some(stamp);
+        Err(MotionError::Order { found: stamp, last })
+    }
+
+    /// Forgets all that has a stamp.
+    fn restart(&mut self) -> Result<(), MotionError> {
+        self.ranging.restart()?;
+        self.sight.restart();
+        self.odometry.restart();
+        self.fusion.clear();
+        (self.network, self.heading, self.aspect, self.height) = (None, None, None, None);
+        self.last = None;
+        Ok(())
     }
 
     fn report(

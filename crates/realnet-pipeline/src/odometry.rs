@@ -104,6 +104,12 @@ impl OwnOdometry {
         self.poses.push((stamp, pose));
     }
 
+    /// Forgets all frames: the next one is at the origin.
+    pub fn restart(&mut self) {
+        self.poses.clear();
+        self.last = None;
+    }
+
     /// Where the robot was at a frame.
     #[must_use]
     pub fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {

@@ -153,6 +153,18 @@ impl Ranging {
         Ok(step)
     }
 
+    /// Forgets all frames and maps, for those of another time. What is known of the pitch
+    /// stays.
+    ///
+    /// # Errors
+    /// None that [`Ranging::new`] did not give for the same options.
+    pub fn restart(&mut self) -> Result<(), MotionError> {
+        let motion = MotionOptions { scale_std: self.options.map_std, ..self.options.motion };
+        self.tracker = MotionTracker::new(&self.camera, motion)?;
+        (self.steps, self.key) = (Steps::default(), None);
+        Ok(())
+    }
+
     /// The present frame goes to the depth network.
     pub fn keep(&mut self) {
         self.tracker.keep();
