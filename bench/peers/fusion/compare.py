@@ -49,6 +49,9 @@ How it was made fair:
   no place for an error that ranges share, so its deviation of a range is chosen as the one
   of several that gives it the smallest error on these very logs.
 * Our time is that of the same work: all pushes with their replays and a question a frame.
+  It is time on the clock; theirs is that of their thread on the processor (GTSAM's wheel
+  has no other threads), which a busy machine does not lengthen as much. With `--repeats`
+  the fastest run of each log counts, for both.
 """
 
 import argparse
@@ -361,9 +364,9 @@ class Gtsam:
         for letter, chain in self.common.items():
             if chain:
                 self.stamps[gtsam.symbol(letter, chain[-1])] = self.now
-        start = time.perf_counter()
+        start = time.thread_time()
         self.smoother.update(self.graph, self.new, self.stamps)
-        self.seconds += time.perf_counter() - start
+        self.seconds += time.thread_time() - start
         self.fresh()
 
     def step(self, frame, readings):
@@ -393,9 +396,9 @@ class Gtsam:
         self.waiting = []
         self.update()
         stamp, key = self.last
-        start = time.perf_counter()
+        start = time.thread_time()
         seen = self.smoother.calculateEstimateVector(key)
-        self.seconds += time.perf_counter() - start
+        self.seconds += time.thread_time() - start
         state = from_seen(seen, self.cameras[key])[0]
         ahead = (frame["stamp"] - stamp) * 1e-9
         if ahead > 0:
@@ -415,7 +418,7 @@ class FilterPy:
     def step(self, frame, readings):
         directions = [r for r in readings if r["kind"] == "direction"]
         ranges = [r for r in readings if r["kind"] != "direction"]
-        start = time.perf_counter()
+        start = time.thread_time()
         if self.filter is not None:
             seconds = (frame["stamp"] - self.last) * 1e-9
             self.last = frame["stamp"]
@@ -438,7 +441,7 @@ class FilterPy:
                 self.last = frame["stamp"]
                 continue
             self.filter.update(position.reshape(2, 1), R=noise)
-        self.seconds += time.perf_counter() - start
+        self.seconds += time.thread_time() - start
         if self.filter is None:
             return None
         return depth_from(frame["pose"], self.filter.x[:2, 0])
@@ -488,6 +491,7 @@ def main():
     parser.add_argument("--from", dest="from_s", type=float, default=1.0)
     parser.add_argument("--lags", type=float, nargs="+", default=[0.5, 1.5])
     parser.add_argument("--nonlinear", type=int, default=0, help="logs for those variants")
+    parser.add_argument("--repeats", type=int, default=1, help="runs; the fastest counts")
     parser.add_argument("--odometry", type=float, default=0.0, help="deviation of its unit")
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--range-stds", default="0.01,0.03,0.1,0.2,0.4,0.8")
@@ -517,7 +521,8 @@ def main():
                     scale_odometry(path, math.exp(args.odometry * normal))
                 frames, arriving = read(path)
                 ours.run(path, errors[0])  # warms
-                depths, deviations, seconds = ours.run(path, errors[0])
+                runs = [ours.run(path, errors[0]) for _ in range(args.repeats)]
+                depths, deviations, seconds = min(runs, key=lambda run: run[2])
                 own = add("realnet", depths, seconds, frames)
                 for depth, std, frame in zip(depths, deviations, frames):
                     if frame["stamp"] * 1e-9 >= args.from_s and depth is not None:
@@ -526,8 +531,11 @@ def main():
                     # The batch smoother only where it is fastest.
                     smoothers = ("incremental", "batch")[: 2 if lag == args.lags[0] else 1]
                     for smoother in smoothers:
-                        side = Gtsam(smoother, errors, lag)
-                        depths, seconds = drive(side, frames, arriving)
+                        runs = []
+                        for _ in range(args.repeats):
+                            side = Gtsam(smoother, errors, lag)
+                            runs.append(drive(side, frames, arriving))
+                        depths, seconds = min(runs, key=lambda run: run[1])
                         add(f"gtsam {smoother} {lag:g} s", depths, seconds, frames)
                 if seed < args.nonlinear:
                     some["realnet"] = some.get("realnet", 0) + own
