@@ -40,6 +40,18 @@ pub(super) fn write(
     jobs: usize,
     command: &str,
 ) -> Result<Outcome> {
+    write_until(folder, spec, frames, jobs, command, &interrupt::interrupted)
+}
+
+/// As [`write`]; it ends early once `ends_early` says so.
+fn write_until(
+    folder: &Path,
+    spec: DatasetSpec,
+    frames: u64,
+    jobs: usize,
+    command: &str,
+    ends_early: &(dyn Fn() -> bool + Sync),
+) -> Result<Outcome> {
     prepare(folder, &spec)?;
     let bar = progress::bar(Some(frames), "dataset");
     let clips = frames.div_ceil(CLIP_FRAMES);
@@ -48,11 +60,11 @@ pub(super) fn write(
         let mut sampler = Sampler::new(spec);
         loop {
             let clip = next.fetch_add(1, Ordering::Relaxed);
-            if clip >= clips || interrupt::interrupted() {
+            if clip >= clips || ends_early() {
                 return Ok(());
             }
             let end = frames.min((clip + 1) * CLIP_FRAMES);
-            let done = one_clip(folder, &mut sampler, clip, end, || bar.inc(1));
+            let done = one_clip(folder, &mut sampler, clip, end, ends_early, || bar.inc(1));
             if let Err(error) = done.with_context(|| format!("clip {clip}")) {
                 // The others need not go on.
                 next.store(clips, Ordering::Relaxed);
@@ -68,13 +80,19 @@ pub(super) fn write(
         joined.collect()
     });
     bar.finish_and_clear();
+    // Whatever happened, what is said to be there is there.
+    let counted = frames_there(folder).and_then(|there| {
+        let text = readme(&spec, there, frames, command);
+        atomic::write(&folder.join("README.md"), text.as_bytes())?;
+        Ok(there)
+    });
     outcomes.into_iter().collect::<Result<()>>()?;
-    atomic::write(&folder.join("README.md"), readme(&spec, frames, command).as_bytes())?;
-    if interrupt::interrupted() {
-        say(format!("the same command goes on with {}", folder.display()));
+    let there = counted?;
+    say(format!("{there} frames are in {}", folder.display()));
+    if ends_early() && there < frames {
+        say("the same command goes on with it");
         return Ok(Outcome::Interrupted);
     }
-    say(format!("{frames} frames are in {}", folder.display()));
     Ok(Outcome::Done)
 }
 
@@ -131,6 +149,23 @@ fn make_folder(path: &Path) -> Result<()> {
         .or_bad_input()
 }
 
+/// Counts the frames with all their files, whichever command made them.
+fn frames_there(folder: &Path) -> Result<u64> {
+    let mut there = 0;
+    for split in [Split::Train, Split::Val] {
+        let labels = folder.join("labels").join(split.name());
+        let entries = std::fs::read_dir(&labels)
+            .with_context(|| format!("cannot list the folder {}", labels.display()))?;
+        for entry in entries {
+            // Labels are written last of a frame's files.
+            let name = entry.with_context(|| labels.display().to_string())?.file_name();
+            let index = name.to_str().and_then(|name| name.strip_suffix(".txt")?.parse().ok());
+            there += u64::from(index.is_some_and(|index| Files::of(folder, index).are_there()));
+        }
+    }
+    Ok(there)
+}
+
 /// The files of a sample.
 struct Files {
     image: PathBuf,
@@ -171,6 +206,7 @@ fn one_clip(
     sampler: &mut Sampler,
     clip: u64,
     end: u64,
+    ends_early: impl Fn() -> bool,
     mut progress: impl FnMut(),
 ) -> Result<()> {
     let sequence = sequence(folder, clip);
@@ -181,7 +217,7 @@ fn one_clip(
     for index in first..end {
         let files = Files::of(folder, index);
         if !files.are_there() {
-            if interrupt::interrupted() {
+            if ends_early() {
                 break;
             }
             write_sample(&files, &sampler.sample(index))?;
@@ -223,7 +259,12 @@ fn write_sample(files: &Files, sample: &Sample) -> Result<()> {
     Ok(atomic::write(&files.labels, rows.as_bytes())?)
 }
 
-fn readme(spec: &DatasetSpec, frames: u64, command: &str) -> String {
+/// What the folder is, with the frames that are there and those that were asked for.
+fn readme(spec: &DatasetSpec, there: u64, frames: u64, command: &str) -> String {
+    let progress = match there {
+        there if there < frames => format!("{there} of {frames} frames so far,"),
+        _ => format!("{there} frames"),
+    };
     let DatasetSpec { seed, width, height } = spec;
     let names = class_names().join(", ");
     let percent = (100.0 * MIN_VISIBLE) as u32;
@@ -232,7 +273,7 @@ fn readme(spec: &DatasetSpec, frames: u64, command: &str) -> String {
         "\
 # A data set drawn by RealNet's simulator
 
-{frames} frames of {width} x {height} pixels, seed {seed}. Made, and made longer or gone on
+{progress} of {width} x {height} pixels, seed {seed}. Made, and made longer or gone on
 with after an interruption, by
 
     {command}
@@ -370,6 +411,28 @@ mod tests {
         let different: Vec<_> =
             names.iter().filter(|name| whole[**name] != parts[**name]).collect();
         assert!(different.is_empty(), "{different:?}");
+    }
+
+    #[test]
+    fn the_readme_counts_what_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let says = || {
+            let text = std::fs::read_to_string(folder.path().join("README.md")).unwrap();
+            text.lines().nth(2).unwrap().to_owned()
+        };
+        // Interrupted at the fourth of twelve frames: asked once before each clip and frame.
+        let asked = AtomicU64::new(0);
+        let frames = 12;
+        let ends = || asked.fetch_add(1, Ordering::Relaxed) >= 4;
+        let outcome = write_until(folder.path(), SPEC, frames, 1, "realnet sim", &ends).unwrap();
+        assert_eq!((outcome, frames_there(folder.path()).unwrap()), (Outcome::Interrupted, 3));
+        assert!(says().starts_with("3 of 12 frames so far, of 128 x 72"), "{}", says());
+        // Gone on with.
+        write(folder.path(), SPEC, frames, 1, "realnet sim").unwrap();
+        assert!(says().starts_with("12 frames of 128 x 72"), "{}", says());
+        // A shorter command takes nothing away.
+        write(folder.path(), SPEC, 2, 1, "realnet sim").unwrap();
+        assert!(says().starts_with("12 frames of 128 x 72"), "{}", says());
     }
 
     #[test]
