@@ -13,7 +13,9 @@ mod common;
 use common::{Run, finish, frames_in, has_ffmpeg, listing, realnet};
 use serde_json::Value;
 use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
+use std::process::{Command, Stdio};
 use tempfile::tempdir;
 
 /// The keys that every reader may count on, in their order.
@@ -136,6 +138,81 @@ fn several_seeds_are_in_order_with_a_page_over_all() {
         assert!(index.contains(&format!("href=\"{name}\"")), "{name}");
         let page = std::fs::read_to_string(out.join(&name)).unwrap();
         assert!(page.contains("href=\"index.html\""), "{name}");
+    }
+}
+
+#[test]
+fn any_number_of_jobs_prints_the_same_bytes() {
+    let folder = tempdir().unwrap();
+    let args = ["--scenario", SHORT, "--seeds", "4", "--json", "--jobs"];
+    let one = sim_in(folder.path(), &[&args[..], &["1"]].concat());
+    let many = sim_in(folder.path(), &[&args[..], &["4"]].concat());
+    assert_eq!(judged(&one).len(), 4);
+    assert_eq!((one.code, one.stdout), (many.code, many.stdout));
+}
+
+#[test]
+fn what_goes_wrong_with_one_run_leaves_the_others() {
+    let folder = tempdir().unwrap();
+    // A folder lies where the page of seed 1 is to be.
+    let out = folder.path().join("out");
+    let page = |seed: u32| format!("{SHORT}-{seed}.html");
+    std::fs::create_dir_all(out.join(page(1)).join("in the way")).unwrap();
+    let args = ["--scenario", SHORT, "--seeds", "3", "--json", "--report", "out", "--jobs", "2"];
+    let run = sim_in(folder.path(), &args);
+    assert_eq!(run.code, Some(1), "{run:#?}");
+    let values = lines(&run);
+    let seeds: Vec<u64> = values.iter().map(|value| value["seed"].as_u64().unwrap()).collect();
+    assert_eq!(seeds, [0, 1, 2], "what is wrong with a file is not wrong with the figures");
+    let told: Vec<&str> =
+        run.stderr.lines().filter(|line| line.contains("scenario no-target with seed")).collect();
+    assert!(matches!(told[..], [line] if line.contains("seed 1: ") && line.contains(&page(1))));
+    let index = std::fs::read_to_string(out.join("index.html")).unwrap();
+    for seed in 0..3 {
+        assert_eq!(index.contains(&format!("href=\"{}\"", page(seed))), seed != 1, "{seed}");
+    }
+    assert!(index.contains("scenario no-target with seed 1: "), "the page over all says so too");
+    // Alone it is the outcome.
+    let alone = ["--scenario", SHORT, "--seed", "1", "--json", "--report", "out"];
+    let alone = sim_in(folder.path(), &alone);
+    assert_eq!((alone.code, lines(&alone)), (Some(1), vec![values[1].clone()]), "{alone:#?}");
+    assert!(alone.stderr.contains("seed 1: "), "{alone:#?}");
+}
+
+/// The runs cannot all end before the signal, which is sent at the first line.
+#[cfg(unix)]
+#[test]
+fn what_was_done_before_an_interruption_is_whole() {
+    let folder = tempdir().unwrap();
+    let args = ["--scenario", SHORT, "--seeds", "100000", "--json", "--report", "out"];
+    let mut child = common::command()
+        .args(["sim", "--jobs", "2"])
+        .args(args)
+        .current_dir(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut reader = BufReader::new(child.stdout.take().unwrap());
+    let mut stdout = String::new();
+    reader.read_line(&mut stdout).unwrap();
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    reader.read_to_string(&mut stdout).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    let run = Run { code: output.status.code(), stdout, stderr };
+    assert_eq!(run.code, Some(130), "{run:#?}");
+    let values = lines(&run);
+    assert!((1..1000).contains(&values.len()) && run.stdout.ends_with('\n'), "{}", values.len());
+    let out = folder.path().join("out");
+    let mut names = vec!["index.html".to_owned()];
+    names.extend(values.iter().map(|value| format!("{SHORT}-{}.html", value["seed"])));
+    names.sort();
+    assert_eq!(listing(&out), names, "a page for each line, and no more");
+    for name in names {
+        let page = std::fs::read_to_string(out.join(&name)).unwrap();
+        assert!(page.ends_with("</html>\n"), "{name}");
     }
 }
 

@@ -3,12 +3,13 @@
 mod dataset;
 mod json;
 mod report;
+mod runs;
 mod table;
 mod video;
 
-use super::failure::{OrBadInput, Outcome, bad_input, say};
+use super::failure::{OrBadInput, Outcome, bad_input, report as report_error, say};
 use super::output::Output;
-use super::{command_line, interrupt, progress};
+use super::{command_line, interrupt};
 use anyhow::{Context, Result};
 use clap::Args;
 use json::RunResult;
@@ -18,12 +19,12 @@ use realnet_sim::dataset::DatasetSpec;
 use realnet_sim::scenario::Scenario;
 use realnet_sim::{RunFigures, RunLog};
 use report::PageOptions;
+use runs::Ended;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use table::ScenarioRow;
 use video::RunVideo;
 
@@ -35,7 +36,8 @@ Examples:
   realnet sim --all --seeds 20 --report out/
   realnet sim --dataset data/sim --frames 2000 --seed 1
 
-Exit codes: 0 all passed, 1 a run did not pass, 2 bad input, 130 interrupted.")]
+Exit codes: 0 all passed, 1 a run did not pass or ended in an error, 2 bad input, 130
+interrupted. With --json each run is printed once it and all before it are done.")]
 pub(crate) struct SimArgs {
     #[command(flatten)]
     what: WhatArgs,
@@ -117,30 +119,59 @@ pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
     if args.video.is_some() && wanted.len() > 1 {
         return Err(bad_input(format!("--video is for one run, not for {}", wanted.len())));
     }
-    let runs = run_all(args, &wanted)?;
-    let outcome = if runs.len() < wanted.len() { Outcome::Interrupted } else { Outcome::Done };
+    let several = wanted.len() > 1;
+    let mut output = Output::stdout();
+    let mut done = Done::default();
+    let outcome = runs::run_all(
+        &wanted,
+        jobs(args),
+        |scenario, seed, ends_early| one(args, scenario, seed, several, ends_early),
+        |ended| {
+            if let (Some(run), true) = (&ended.result, args.json) {
+                output.json(&run.record())?;
+            }
+            done.ended += usize::from(ended.result.is_some() || ended.error.is_some());
+            if let (Some(run), true) = (&ended.result, ended.has_page) {
+                done.pages.insert(report::page_name(run));
+            }
+            done.runs.extend(ended.result);
+            match ended.error {
+                // What is wrong with the only run is the outcome of all.
+                Some(error) if !several => return Err(error),
+                Some(error) => {
+                    report_error(&error);
+                    done.errors.push(format!("{error:#}"));
+                }
+                None => {}
+            }
+            Ok(())
+        },
+    );
+    // A report is written whatever happened: it says what is done.
     if let Some(directory) = &args.report
-        && wanted.len() > 1
+        && several
     {
-        let page = report::index(&runs, |_| true, &command_line());
+        let has_page = |run: &RunResult| done.pages.contains(&report::page_name(run));
+        let page = report::index(&done.runs, has_page, &done.errors, &command_line());
         let path = directory.join(INDEX);
         atomic::write(&path, page.as_bytes())?;
-        say(format!("the report is {}", path.display()));
-    }
-    let mut output = Output::stdout();
-    if args.json {
-        for run in &runs {
-            output.json(&run.record())?;
+        if !runs::reader_is_gone(&outcome) {
+            say(format!("the report is {}", path.display()));
         }
-    } else if let ([run], false) = (runs.as_slice(), args.what.all) {
-        output.line(table::run_table(run))?;
-    } else if !runs.is_empty() {
-        output.line(table::runs_table(&runs))?;
     }
-    let failed = runs.iter().filter(|run| !run.passed()).count();
-    match outcome {
-        Outcome::Done if failed > 0 => Ok(Outcome::Failed),
-        outcome => Ok(outcome),
+    outcome?;
+    if args.json {
+        // Each was printed once it could be.
+    } else if let ([run], false) = (done.runs.as_slice(), args.what.all) {
+        output.line(table::run_table(run))?;
+    } else if !done.runs.is_empty() {
+        output.line(table::runs_table(&done.runs))?;
+    }
+    let failed = !done.errors.is_empty() || done.runs.iter().any(|run| !run.passed());
+    if interrupt::interrupted() && done.ended < wanted.len() {
+        Ok(Outcome::Interrupted)
+    } else {
+        Ok(if failed { Outcome::Failed } else { Outcome::Done })
     }
 }
 
@@ -177,55 +208,46 @@ fn scenario(name: &str) -> Result<&'static Scenario> {
     })
 }
 
-/// Runs them all, several at a time; in the order they were asked for, without those
-/// that Ctrl-C forestalled.
-fn run_all(args: &SimArgs, wanted: &[(&Scenario, u64)]) -> Result<Vec<RunResult>> {
-    let jobs = jobs(args).min(wanted.len());
-    let bar = progress::bar(Some(wanted.len() as u64), "sim");
-    let next = AtomicUsize::new(0);
-    let done = Mutex::new(Vec::with_capacity(wanted.len()));
-    let work = || -> Result<()> {
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            let Some(&(scenario, seed)) = wanted.get(index) else { return Ok(()) };
-            if interrupt::interrupted() {
-                return Ok(());
-            }
-            bar.set_message(format!("{} {seed}", scenario.name()));
-            let run = one(args, scenario, seed, wanted.len() > 1)
-                .with_context(|| format!("scenario {} with seed {seed}", scenario.name()));
-            match run {
-                Ok(Some(run)) => {
-                    if let Ok(mut done) = done.lock() {
-                        done.push((index, run));
-                    }
-                }
-                Ok(None) => return Ok(()),
-                Err(error) => {
-                    // The others need not go on.
-                    next.store(wanted.len(), Ordering::Relaxed);
-                    return Err(error);
-                }
-            }
-            bar.inc(1);
-        }
-    };
-    let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
-        let joined = threads.into_iter().map(|thread| {
-            thread.join().unwrap_or_else(|_| Err(anyhow::anyhow!("a run ended in a panic")))
-        });
-        joined.collect()
-    });
-    bar.finish_and_clear();
-    outcomes.into_iter().collect::<Result<()>>()?;
-    let mut done = done.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    done.sort_by_key(|(index, _)| *index);
-    Ok(done.into_iter().map(|(_, run)| run).collect())
+/// What is known of the runs so far.
+#[derive(Debug, Default)]
+struct Done {
+    runs: Vec<RunResult>,
+    /// What went wrong, a sentence each with scenario and seed.
+    errors: Vec<String>,
+    /// Names of the pages that are there.
+    pages: BTreeSet<String>,
+    /// Runs that were not interrupted.
+    ended: usize,
 }
 
-/// One run, with its page and its lines. `None`: interrupted.
-fn one(args: &SimArgs, scenario: &Scenario, seed: u64, several: bool) -> Result<Option<RunResult>> {
+/// One run, with its page and its lines.
+fn one(
+    args: &SimArgs,
+    scenario: &Scenario,
+    seed: u64,
+    several: bool,
+    ends_early: &dyn Fn() -> bool,
+) -> Ended {
+    match drive(args, scenario, seed, ends_early) {
+        Ok(Some((run, log))) => {
+            // Each whether or not the other could be written.
+            let page = write_page(args, &run, &log, several);
+            let lines = write_log(args, &log);
+            let has_page = args.report.is_some() && page.is_ok();
+            Ended { result: Some(run), error: page.and(lines).err(), has_page }
+        }
+        Ok(None) => Ended::default(),
+        Err(error) => Ended { error: Some(error), ..Ended::default() },
+    }
+}
+
+/// One run, with its video. `None`: ended early.
+fn drive(
+    args: &SimArgs,
+    scenario: &Scenario,
+    seed: u64,
+    ends_early: &dyn Fn() -> bool,
+) -> Result<Option<(RunResult, RunLog)>> {
     let setup = scenario.instantiate(seed)?;
     let mut video = match &args.video {
         Some(path) => {
@@ -234,48 +256,47 @@ fn one(args: &SimArgs, scenario: &Scenario, seed: u64, several: bool) -> Result<
         }
         None => None,
     };
-    let mut written = Ok(());
+    let (mut written, mut early) = (Ok(()), false);
     let log = realnet_sim::run(&setup, |moment| {
         if let Some(video) = &mut video {
             let mut frame = moment.rendered.frame.clone();
             let last = moment.run.frames.len().saturating_sub(1);
             written = video.write(&mut frame, moment.run, last, moment.target.map(|at| at.bbox));
         }
-        if interrupt::interrupted() || written.is_err() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
+        early = ends_early();
+        if early || written.is_err() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     written?;
     // Ctrl-C leaves the frames up to then.
     video.map_or(Ok(()), RunVideo::finish)?;
-    if interrupt::interrupted() {
+    if early {
         return Ok(None);
     }
     let figures = RunFigures::from_log(&log, setup.expectations.settle_s);
     let failures = setup.expectations.check(&figures, &log);
     let run = RunResult { scenario: setup.name.to_owned(), seed, figures, failures };
-    if let Some(directory) = &args.report {
-        let command = command_line();
-        let index = several.then_some(INDEX);
-        let video = args.video.as_deref().and_then(|path| path.strip_prefix(directory).ok());
-        let video = video.and_then(Path::to_str);
-        let options = PageOptions { command: &command, video, index };
-        let path = directory.join(report::page_name(&run));
-        atomic::write(&path, report::page(&run, &log, &options).as_bytes())?;
-        if !several {
-            say(format!("the report is {}", path.display()));
-        }
-    }
-    if let Some(directory) = &args.log {
-        write_log(&directory.join(format!("{}-{seed}.csv", setup.name)), &log)?;
-    }
-    Ok(Some(run))
+    Ok(Some((run, log)))
 }
 
-/// The frames of a run as CSV: SI units, empty where nothing is known.
-fn write_log(path: &Path, log: &RunLog) -> Result<()> {
+/// The page of a run, if it is wanted.
+fn write_page(args: &SimArgs, run: &RunResult, log: &RunLog, several: bool) -> Result<()> {
+    let Some(directory) = &args.report else { return Ok(()) };
+    let command = command_line();
+    let index = several.then_some(INDEX);
+    let video = args.video.as_deref().and_then(|path| path.strip_prefix(directory).ok());
+    let video = video.and_then(Path::to_str);
+    let options = PageOptions { command: &command, video, index };
+    let path = directory.join(report::page_name(run));
+    atomic::write(&path, report::page(run, log, &options).as_bytes())?;
+    if !several {
+        say(format!("the report is {}", path.display()));
+    }
+    Ok(())
+}
+
+/// The frames of a run as CSV, if it is wanted: SI units, empty where nothing is known.
+fn write_log(args: &SimArgs, log: &RunLog) -> Result<()> {
+    let Some(directory) = &args.log else { return Ok(()) };
     let mut text = String::from(
         "time_s,range_true_m,range_network_m,network_age_s,range_fast_m,range_ground_m,range_fused_m,range_fused_std_m,pitch_rad,\
          status,\
@@ -324,6 +345,7 @@ fn write_log(path: &Path, log: &RunLog) -> Result<()> {
             frame.stop.map(|stop| stop.name()).unwrap_or_default(),
         );
     }
-    atomic::write(path, text.as_bytes())?;
+    let path = directory.join(format!("{}-{}.csv", log.scenario, log.seed));
+    atomic::write(&path, text.as_bytes())?;
     Ok(())
 }

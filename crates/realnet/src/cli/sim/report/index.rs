@@ -8,10 +8,12 @@ use realnet_sim::HELD_S;
 use std::fmt::Write as _;
 
 /// The page over these runs: what all come to, a row for each scenario, and a link to
-/// the page of each run for which `has_page` says that there is one.
+/// the page of each run for which `has_page` says that there is one. `errors` are of
+/// the runs that went wrong, with their names and seeds.
 pub(in crate::cli::sim) fn index(
     runs: &[RunResult],
     has_page: impl Fn(&RunResult) -> bool,
+    errors: &[String],
     command: &str,
 ) -> String {
     let scenarios = summaries(runs);
@@ -20,7 +22,7 @@ pub(in crate::cli::sim) fn index(
     let _ = writeln!(
         html,
         "<header><h1>Scenarios {}</h1><p class=\"lead\">{passed} of {} runs of {} scenarios passed.</p></header>",
-        badge(passed == runs.len()),
+        badge(passed == runs.len() && errors.is_empty()),
         runs.len(),
         scenarios.len(),
     );
@@ -48,6 +50,13 @@ pub(in crate::cli::sim) fn index(
          runs by seed.</p>",
     );
     failures(&mut html, &scenarios, runs, &has_page);
+    if !errors.is_empty() {
+        html.push_str("<h2>What went wrong</h2>\n<ul class=\"failures\">");
+        for error in errors {
+            let _ = write!(html, "<li>{}</li>", escape(error));
+        }
+        html.push_str("</ul>\n");
+    }
     html.push_str(&foot(command));
     html
 }

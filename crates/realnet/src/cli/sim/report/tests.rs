@@ -248,14 +248,20 @@ fn the_index_links_what_is_there() {
             run
         }));
     }
-    let html = index(&runs, |run| run.seed < 5, "realnet sim --all --seeds 20 --report out");
+    let html = index(
+        &runs,
+        |run| run.seed < 5,
+        &["scenario <a> with seed 9: no room".to_owned()],
+        "realnet sim --all --seeds 20 --report out",
+    );
     well_formed(&html);
     assert_eq!(html.matches("href=\"steady-following-").count(), 5);
     assert!(html.contains("79 of 80 runs of 4 scenarios passed"), "{html}");
     assert!(html.contains("<a href=\"brake-and-hide-3.html\">seed 3</a>: 1 collision"), "{html}");
     assert_eq!(html.matches("class=\"failed\"").count(), 1);
     keep("index.html", |path| std::fs::write(path, &html).unwrap());
-    well_formed(&index(&[], |_| true, ""));
+    assert!(html.contains("<li>scenario &lt;a&gt; with seed 9: no room</li>"), "{html}");
+    well_formed(&index(&[], |_| true, &[], ""));
 }
 
 /// What `write` makes, in the folder that `REALNET_KEEP_PAGES` names: to look at it.
