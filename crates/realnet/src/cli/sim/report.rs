@@ -69,7 +69,7 @@ pub(super) fn page(run: &RunResult, log: &RunLog, options: &PageOptions<'_>) -> 
         html.push_str("<p>The run has no frames.</p>\n");
     } else {
         html.push_str(
-            "<h2>Range</h2>\n<p class=\"note\">Grey grounds: the target is not tracked.</p>\n",
+            "<h2>Range</h2>\n<p class=\"note\">Grey background: the target is not tracked.</p>\n",
         );
         html.push_str(&plots.range());
         html.push_str(&plots.error());
@@ -108,7 +108,7 @@ fn figures(html: &mut String, run: &RunResult, log: &RunLog) {
             "<tr><th scope=\"row\">{name}</th><td>{value}</td><td class=\"unit\">{unit}</td></tr>"
         );
     }
-    html.push_str("</tbody></table>\n<table><caption>Range; errors while tracking</caption><thead><tr><td></td>");
+    html.push_str("</tbody></table>\n<table><caption>Range, on frames tracked with a range of the network</caption><thead><tr><td></td>");
     for name in ["fused", "fast", "network"] {
         let _ = write!(html, "<th scope=\"col\" class=\"{name}\"><i></i>{name}</th>");
     }
@@ -124,12 +124,18 @@ fn figures(html: &mut String, run: &RunResult, log: &RunLog) {
     row("Bias", &|cue| percent(cue.bias, 2), "%");
     row("Jitter, RMS", &|cue| millimetres(cue.jitter_m), "mm");
     row("Known while visible", &|cue| percent(cue.known_share, 1), "%");
-    let _ = writeln!(
-        html,
-        "<tr><th scope=\"row\">Truth in two deviations</th><td>{}</td><td></td><td></td>\
-         <td class=\"unit\">%</td></tr></tbody></table>\n</div>",
-        percent(f.within_two_std, 1)
-    );
+    // Of the fused range alone, which needs no map of the network.
+    for (name, value) in [
+        ("Relative error, all tracked frames", percent(f.tracked.abs_rel, 2)),
+        ("Truth in two deviations, all tracked", percent(f.within_two_std, 1)),
+    ] {
+        let _ = write!(
+            html,
+            "<tr><th scope=\"row\">{name}</th><td>{value}</td><td></td><td></td>\
+             <td class=\"unit\">%</td></tr>"
+        );
+    }
+    html.push_str("</tbody></table>\n</div>\n");
 }
 
 /// The stops in a table.

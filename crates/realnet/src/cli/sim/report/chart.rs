@@ -156,7 +156,7 @@ impl Chart {
         self
     }
 
-    /// Grey grounds behind everything, from and to.
+    /// Grey backgrounds behind everything, from and to.
     pub(super) fn shaded(mut self, shades: &[(f64, f64)]) -> Self {
         self.shades = shades.to_vec();
         self

@@ -37,7 +37,7 @@ pub(in crate::cli::sim) fn index(
          <th scope=\"col\">mean</th><th scope=\"col\">worst</th>\
          <th scope=\"col\">mean</th><th scope=\"col\">worst</th><th scope=\"col\">net</th>\
          <th scope=\"col\">mean</th><th scope=\"col\">net</th>\
-         <th scope=\"col\">%</th><th scope=\"col\">gap, m</th>\
+         <th scope=\"col\">%</th><th scope=\"col\">clearance, m</th>\
          <th scope=\"col\">%</th></tr></thead><tbody>\n",
     );
     for scenario in &scenarios {
@@ -47,7 +47,7 @@ pub(in crate::cli::sim) fn index(
         html,
         "</tbody></table></div>\n<p class=\"note\">Net: the range of the network alone, held between its maps for \
          {HELD_S} s at most; errors and jitter are of the frames with both. In 2 sd: frames with the true range within two deviations of the fused one. The squares are the \
-         runs by seed.</p>",
+         runs by seed, and link to their pages.</p>",
     );
     failures(&mut html, &scenarios, runs, &has_page);
     if !errors.is_empty() {
@@ -101,9 +101,16 @@ fn row(
     runs: &[RunResult],
     has_page: impl Fn(&RunResult) -> bool,
 ) {
-    let _ =
-        write!(html, "<tr><th scope=\"row\">{}<div class=\"seeds\">", escape(&scenario.scenario));
-    for run in runs.iter().filter(|run| run.scenario == scenario.scenario) {
+    let own = || runs.iter().filter(|run| run.scenario == scenario.scenario);
+    let name = escape(&scenario.scenario);
+    // The page of its only run, or of the first that failed, is the one to look at.
+    let shown = own().find(|run| !run.passed()).or_else(|| own().next());
+    let name = match shown.filter(|run| has_page(run)) {
+        Some(run) => format!("<a href=\"{}\">{name}</a>", escape(&page_name(run))),
+        None => name,
+    };
+    let _ = write!(html, "<tr><th scope=\"row\">{name}<div class=\"seeds\">");
+    for run in own() {
         let (class, word) = if run.passed() { ("passed", "passed") } else { ("failed", "failed") };
         let mark = if run.passed() { "" } else { "✗" };
         let title = format!("seed {}: {word}", run.seed);

@@ -255,7 +255,9 @@ fn the_index_links_what_is_there() {
         "realnet sim --all --seeds 20 --report out",
     );
     well_formed(&html);
-    assert_eq!(html.matches("href=\"steady-following-").count(), 5);
+    // Five squares, and the name leads to the first of them.
+    assert_eq!(html.matches("href=\"steady-following-").count(), 6);
+    assert!(html.contains("<a href=\"steady-following-0.html\">steady-following</a>"), "{html}");
     assert!(html.contains("79 of 80 runs of 4 scenarios passed"), "{html}");
     assert!(html.contains("<a href=\"brake-and-hide-3.html\">seed 3</a>: 1 collision"), "{html}");
     assert_eq!(html.matches("class=\"failed\"").count(), 1);

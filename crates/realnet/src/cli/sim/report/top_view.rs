@@ -1,6 +1,6 @@
 //! The run from above: both tracks with headings, bodies, where they end.
 
-use super::chart::{WIDTHS, trace};
+use super::chart::{LEFT, WIDTHS, trace};
 use crate::cli::html::escape;
 use crate::cli::ticks;
 use realnet_core::Pose2;
@@ -8,8 +8,7 @@ use realnet_core::nalgebra::Vector2;
 use realnet_sim::{FrameLog, RunLog, VehicleKind, VehicleSize};
 use std::fmt::Write as _;
 
-/// Room for the numbers.
-const LEFT: f64 = 40.0;
+/// Room for the numbers below.
 const BOTTOM: f64 = 38.0;
 const MARGIN: f64 = 10.0;
 /// The highest drawing, pixels.
