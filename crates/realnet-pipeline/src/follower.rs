@@ -10,7 +10,7 @@ use realnet_core::{
     CameraModel, DepthMap, Detection, DriveCommand, Frame, Pose2, Stamp, TargetState, TrackStatus,
 };
 use realnet_fusion::{
-    DirectionSource, LateError, RangeSource, Reading, SharedError, TargetFilter, TargetMeasurement,
+    DirectionSource, LateError, RangeSource, Reading, TargetFilter, TargetMeasurement,
     TargetOptions,
 };
 use realnet_range::carry::CarryError;
@@ -23,8 +23,6 @@ const TRAIL_S: f64 = 6.0;
 /// Share of the difference between seen and promised speed that is believed in a frame:
 /// two thirds of a second at 30 frames a second, two depth maps.
 const SPEED_GAIN: f64 = 0.05;
-/// Standard deviation of the error that all maps of a network have in common.
-const NETWORK_STD: f64 = 0.1;
 /// Above this speed a target looks the way it drives, m/s.
 const HEADING_SPEED: f64 = 0.2;
 /// Share of a whole box in what is known about their shape.
@@ -62,11 +60,7 @@ impl Default for FollowerOptions {
             classes: Vec::new(),
             sight: SightOptions::default(),
             ranging: RangingOptions::default(),
-            // Networks that never saw this camera err in common.
-            fusion: TargetOptions {
-                network_error: SharedError { std: NETWORK_STD, time_s: 60.0 },
-                ..TargetOptions::default()
-            },
+            fusion: TargetOptions::default(),
             control: ControlOptions::default(),
             keep_in_view: true,
         }

@@ -20,8 +20,14 @@ const HEAVE_STD_M: f64 = 0.002;
 const MAP_STD: f64 = 0.005;
 /// A rotation about the lateral axis from one frame to the next that is a knock, radians.
 const KNOCK_RAD: f64 = 0.015;
-/// How far a depth map's patches tilt what is measured in it, radians.
-const MAP_BEND_RAD: f64 = 0.04;
+/// How far the bend of a depth map tilts the ground in it, radians.
+const GROUND_BEND_RAD: f64 = 0.008;
+/// The ground in a map is looked for within three of these of the pitch known so far,
+/// radians; and if it is not there, for a knock that went unseen, of the second.
+const GROUND_SEARCH_RAD: [f64; 2] = [0.02, 0.05];
+/// How far it tilts the direction of a way that is measured from it, radians: a few
+/// corners on patches that err differently, over a way of a hand's breadth.
+const WAY_BEND_RAD: f64 = 0.04;
 /// A box must not reach within this of the picture's edge for its height to be known.
 const BORDER_PX: f32 = 2.0;
 
@@ -54,7 +60,7 @@ impl Default for RangingOptions {
             map_std: 0.1,
             pitch_std_rad: 0.01,
             ground_range: true,
-            foot_behind_m: 0.06,
+            foot_behind_m: 0.08,
             foot_aside_m: 0.08,
         }
     }
@@ -243,7 +249,7 @@ impl Ranging {
     /// Corrects the pitch by the ground in a map.
     fn level_by(&mut self, map: &DepthMap, target: Option<BoundingBox>) {
         if let Some(plane) = self.fit_ground(map, target) {
-            self.correct_pitch(plane.measurement());
+            self.correct_pitch(plane.measurement(), GROUND_BEND_RAD);
         }
     }
 
@@ -258,14 +264,14 @@ impl Ranging {
         let roll = Uncertain::new(0.0, 0.01);
         let moved = pitch_from_translation(&body.now_from_then(), &covariance, roll, HEAVE_STD_M);
         if let Ok(moved) = moved {
-            self.correct_pitch(moved);
+            self.correct_pitch(moved, WAY_BEND_RAD);
         }
     }
 
     /// Depth maps bend: a pitch by one of them has an error that its own deviation does
     /// not know.
-    fn correct_pitch(&mut self, measured: PitchMeasurement) {
-        let std_rad = measured.std_rad.hypot(MAP_BEND_RAD);
+    fn correct_pitch(&mut self, measured: PitchMeasurement, bend_rad: f64) {
+        let std_rad = measured.std_rad.hypot(bend_rad);
         // Numbers out of range leave the filter as it was.
         let _ = self.pitch.update(&PitchMeasurement { std_rad, ..measured });
     }
@@ -287,16 +293,17 @@ impl Ranging {
     fn fit_ground(&mut self, map: &DepthMap, target: Option<BoundingBox>) -> Option<GroundPlane> {
         let camera = self.camera.scaled(map.width(), map.height()).ok()?;
         let Uncertain { value, std } = self.pitch.pitch_rad();
-        let prior = GroundPrior {
-            camera_height_m: Uncertain::new(
-                self.mount.height_m,
-                self.mount.height_m * 2.0 * self.options.map_std,
-            ),
-            pitch_rad: Uncertain::new(value, std.max(0.02)),
+        let height_m = self.mount.height_m;
+        let mut prior = GroundPrior {
+            camera_height_m: Uncertain::new(height_m, height_m * 2.0 * self.options.map_std),
+            pitch_rad: Uncertain::new(value, std),
             roll_rad: Uncertain::new(0.0, 0.01),
         };
         let exclude = target.as_slice();
-        self.ground_fit.fit(map, &camera, exclude, &prior, DepthNoise::new(0.0, 0.02)).ok()
+        GROUND_SEARCH_RAD.into_iter().find_map(|search| {
+            prior.pitch_rad.std = std.max(search);
+            self.ground_fit.fit(map, &camera, exclude, &prior, DepthNoise::new(0.0, 0.02)).ok()
+        })
     }
 
     /// The range in the present frame: the map's, moved by the target's motion, and the

@@ -3,6 +3,10 @@
 use realnet_core::{Pose, Stamp};
 use realnet_range::motion::Motion;
 
+/// A place seen from a depth map older than this is too rough to reckon another from,
+/// seconds: little is left in view of what the map saw.
+const OLD_MAP_S: f64 = 2.5;
+
 /// How the background moved in the camera since the last frame.
 #[derive(Clone, Copy, Debug)]
 pub struct BackgroundStep {
@@ -35,6 +39,11 @@ impl Seen {
     fn of(motion: &Motion) -> Option<Self> {
         let now_from_then = motion.background.as_ref().ok()?.now_from_then();
         Some(Self { then: motion.then, now: motion.now, now_from_then, rebased: false })
+    }
+
+    /// Of the map.
+    fn age_s(&self) -> f64 {
+        self.now.seconds_since(self.then)
     }
 }
 
@@ -71,12 +80,14 @@ impl Steps {
     /// rotation is passed over.
     pub(crate) fn rebase(&mut self) {
         self.before = match (self.before, self.kept.take()) {
-            (Some(last), Some(kept)) if last.then == kept.then => Some(Seen {
-                then: kept.now,
-                now_from_then: last.now_from_then * kept.now_from_then.inverse(),
-                rebased: true,
-                ..last
-            }),
+            (Some(last), Some(kept)) if last.then == kept.then && kept.age_s() <= OLD_MAP_S => {
+                Some(Seen {
+                    then: kept.now,
+                    now_from_then: last.now_from_then * kept.now_from_then.inverse(),
+                    rebased: true,
+                    ..last
+                })
+            }
             _ => None,
         };
     }

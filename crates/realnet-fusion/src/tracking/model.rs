@@ -32,6 +32,9 @@ const LEARNING_RANGES: u32 = 3;
 /// another one.
 const GROUND_STEP: f64 = 0.15;
 
+/// The difference of two shared errors is known when its deviation is at most this share.
+const KNOWN_SHARE: f64 = 0.2;
+
 type Row = SVector<f64, STATES>;
 
 /// Kinds of measurements that are refused or accepted as a whole.
@@ -445,6 +448,39 @@ impl TargetModel {
         }
     }
 
+    /// What network and ground say differs by more than is expected of their shared
+    /// errors together: the filter has halved a difference that is no one's half. The
+    /// network is taken to be wrong, and the range is asked of the ground again.
+    fn settle(&self, moment: &mut TargetMoment, by_ground: &TargetMeasurement) {
+        let options = &self.options;
+        let ground_std = self.ground_std(moment);
+        let expected = options.network_error.std.hypot(ground_std);
+        let mut row = Row::zeros();
+        (row[NETWORK], row[GROUND]) = (1.0, -1.0);
+        let mean = moment.gaussian.mean();
+        let difference = (mean[NETWORK] - mean[GROUND]).abs();
+        let known = moment.gaussian.variance_along(&row).sqrt();
+        let limit = options.disagreement_deviations * expected;
+        // A ground whose own error had to be opened is no witness.
+        let [_, network, ground, _] = &moment.streams;
+        if network.reopened
+            || ground.reopened
+            || difference <= limit
+            || known > KNOWN_SHARE * difference
+        {
+            return;
+        }
+        self.reopen(moment, Stream::Network);
+        moment.stream(Stream::Network).reopened = true;
+        moment.gaussian.restart(GROUND, 0.0, ground_std.powi(2));
+        let mut away = Vector6::zeros();
+        let camera = by_ground.fixed_from_camera.position();
+        away.fixed_rows_mut::<2>(0).copy_from(&(moment.position() - camera));
+        let variance = Vector1::new(options.reopened_std.powi(2));
+        moment.gaussian.transform_first(&Matrix6::identity(), &away, &variance);
+        self.apply(moment, by_ground, f64::INFINITY);
+    }
+
     /// What follows from a measurement that was not used.
     fn refuse(
         &self,
@@ -543,6 +579,9 @@ impl Model for TargetModel {
                 let state = moment.stream(Stream::of(measurement));
                 let reopened = state.reopened;
                 *state = StreamState { accepted, reopened, ..StreamState::default() };
+                if Stream::of(measurement) == Stream::Ground {
+                    self.settle(moment, measurement);
+                }
                 outcome
             }
             Outcome::OldMap => Outcome::OldMap,

@@ -67,6 +67,8 @@ pub struct TargetOptions {
     /// Scale error common to all depth maps, in the logarithm. Without ranges of another
     /// source nothing tells of it: the range is then never surer than this. The default is
     /// for a network that was trained for the camera; one that was not may err by 20 %.
+    /// Where the ground shows an error beyond `disagreement_deviations` of what is expected
+    /// of both, the network's is opened.
     pub network_error: SharedError,
     /// Error of the ground ranges. Beyond 1 m in the logarithm per metre of range, that is,
     /// the error of the pitch in radians over the height of the camera in metres (half a
@@ -84,6 +86,10 @@ pub struct TargetOptions {
     /// if another source of ranges agrees with the estimate, otherwise the track begins
     /// anew from the measurements.
     pub reset_count: u32,
+    /// Network and ground disagree when the difference of their shared errors is larger
+    /// than so many of its expected deviations, and known well. Then the ground is
+    /// believed, which has been measured, and the network's common error is opened.
+    pub disagreement_deviations: f64,
     /// Standard deviation to which a shared error is opened.
     pub reopened_std: f64,
     /// A first range and a first direction begin a track if they are not further apart
@@ -110,12 +116,13 @@ impl Default for TargetOptions {
             start_acceleration_std: 1.5,
             map_scale_std: 0.1,
             map_drift: 0.01,
-            network_error: SharedError { std: 0.05, time_s: 60.0 },
-            ground_error: SharedError { std: 0.05, time_s: 10.0 },
+            network_error: SharedError { std: 0.04, time_s: 60.0 },
+            ground_error: SharedError { std: 0.04, time_s: 10.0 },
             size_error: SharedError { std: 0.1, time_s: 300.0 },
             gate_deviations: 4.0,
             reset_after_s: 0.3,
             reset_count: 5,
+            disagreement_deviations: 2.5,
             reopened_std: 0.5,
             begin_within_s: 0.3,
             times: StatusTimes::default(),
@@ -151,6 +158,7 @@ impl TargetOptions {
         positive("size_error.time_s", self.size_error.time_s)?;
         positive("gate_deviations", self.gate_deviations)?;
         positive("reset_after_s", self.reset_after_s)?;
+        positive("disagreement_deviations", self.disagreement_deviations)?;
         deviation("reopened_std", self.reopened_std)?;
         positive("begin_within_s", self.begin_within_s)?;
         positive("unknown_above", self.unknown_above)?;
