@@ -7,6 +7,7 @@ use super::{
 use anyhow::{Context, Result};
 use clap::Args;
 use realnet::{
+    vnl::Vnl,
     weights::Checkpoint,
     yolov5::{OnnxOptions, YoloV5},
 };
@@ -15,14 +16,14 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 pub(crate) struct ConvertArgs {
-    /// YOLOv5 weights: .pt (whole module or state dict) or .safetensors.
+    /// YOLOv5 or VNL weights: .pt (whole module or state dict) or .safetensors.
     weights: PathBuf,
     /// The ONNX file to write [default: beside the weights].
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Input size in pixels: N or WIDTHxHEIGHT.
-    #[arg(long, value_name = "N|WxH", default_value = "640", value_parser = parse_size)]
-    imgsz: (u32, u32),
+    /// Input size in pixels: N or WIDTHxHEIGHT [default: 640 for YOLOv5, 256 for VNL].
+    #[arg(long, value_name = "N|WxH", value_parser = parse_size)]
+    imgsz: Option<(u32, u32)>,
     /// Store the weights in 16 bits: half the file, computed in 32 bits all the same.
     #[arg(long)]
     half: bool,
@@ -34,18 +35,29 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<Outcome> {
     let checkpoint = Checkpoint::read(&args.weights)
         .with_context(|| args.weights.display().to_string())
         .or_bad_input()?;
-    let network = YoloV5::from_checkpoint(&checkpoint)
-        .with_context(|| args.weights.display().to_string())
-        .or_bad_input()?;
-    let (width, height) = args.imgsz;
-    let options = OnnxOptions { width: width as usize, height: height as usize, half: args.half };
-    let onnx = network.to_onnx(&options).or_bad_input()?;
+    let name = || args.weights.display().to_string();
+    let options = |default| {
+        let (width, height) = args.imgsz.unwrap_or(default);
+        OnnxOptions { width: width as usize, height: height as usize, half: args.half }
+    };
+    let (onnx, OnnxOptions { width, height, .. }, what) = if Vnl::recognises(&checkpoint) {
+        let network = Vnl::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;
+        let options = options((256, 256));
+        let millions = network.parameters() as f64 / 1e6;
+        let what =
+            format!("VNL depth of {millions:.1} million parameters, {} bins", network.bins());
+        (network.to_onnx(&options).or_bad_input()?, options, what)
+    } else {
+        let network = YoloV5::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;
+        let options = options((640, 640));
+        let (millions, classes) = (network.parameters() as f64 / 1e6, network.class_names().len());
+        let what = format!("YOLOv5 of {millions:.1} million parameters, {classes} classes");
+        (network.to_onnx(&options).or_bad_input()?, options, what)
+    };
     atomic::write(&output, &onnx)?;
     say(format!(
-        "{}: YOLOv5 of {:.1} million parameters, {} classes, input {width}x{height}, {:.1} MB",
+        "{}: {what}, input {width}x{height}, {:.1} MB",
         output.display(),
-        network.parameters() as f64 / 1e6,
-        network.class_names().len(),
         onnx.len() as f64 / 1e6,
     ));
     Ok(Outcome::Done)

@@ -1,5 +1,6 @@
 //! The command line: what the user can say, and what comes back.
 
+mod camera_args;
 mod convert;
 mod detect;
 mod engine_args;
@@ -7,6 +8,7 @@ mod engines;
 mod eval;
 mod failure;
 mod frame_files;
+mod frames;
 mod html;
 mod interrupt;
 mod model_args;
@@ -34,11 +36,13 @@ enum Command {
     Detect(detect::DetectArgs),
     /// Show corners and their flow, and carry a target's box by flow alone.
     Track(Box<track::TrackArgs>),
-    /// Write YOLOv5 weights as a self-contained ONNX file.
+    /// Write the frames of a video as a YOLO data set, with a box carried through it.
+    Frames(Box<frames::FramesArgs>),
+    /// Write YOLOv5 or VNL weights as a self-contained ONNX file.
     Convert(convert::ConvertArgs),
     /// Measure a network against labelled data.
     #[command(subcommand)]
-    Val(ValCommand),
+    Val(val::ValCommand),
     /// Measure ranging and following on recorded data.
     #[command(subcommand)]
     Eval(eval::EvalCommand),
@@ -48,12 +52,6 @@ enum Command {
     Engines(engines::EnginesArgs),
 }
 
-#[derive(Debug, Subcommand)]
-enum ValCommand {
-    /// Precision, recall and mAP of a detector, by the COCO protocol.
-    Detect(val::ValArgs),
-}
-
 /// Runs the program and says how it ended.
 pub(crate) fn run() -> ExitCode {
     let cli = Cli::parse();
@@ -61,8 +59,9 @@ pub(crate) fn run() -> ExitCode {
     let result = match cli.command {
         Command::Detect(args) => detect::run(&args),
         Command::Track(args) => track::run(&args),
+        Command::Frames(args) => frames::run(&args),
         Command::Convert(args) => convert::run(&args),
-        Command::Val(ValCommand::Detect(args)) => val::run(&args),
+        Command::Val(command) => val::run(&command),
         Command::Eval(command) => eval::run(&command),
         Command::Sim(args) => sim::run(&args),
         Command::Engines(args) => engines::run(&args),

@@ -2,7 +2,7 @@
 
 mod record;
 mod saver;
-mod target;
+pub(in crate::cli) mod target;
 mod view;
 
 use super::{
@@ -231,7 +231,7 @@ fn open_finder(args: &TargetArgs, engine: &EngineArgs) -> Result<Finder> {
 
 /// The number of a frame in a file of boxes: that in the picture's name, or its
 /// place in the source.
-fn number_of(shot: &SourceFrame, kind: SourceKind) -> u64 {
+pub(in crate::cli) fn number_of(shot: &SourceFrame, kind: SourceKind) -> u64 {
     let stem = Path::new(&shot.name).file_stem().unwrap_or_default().to_string_lossy();
     let is_number = !stem.is_empty() && stem.bytes().all(|b| b.is_ascii_digit());
     match kind {

@@ -4,6 +4,7 @@ mod measure;
 mod page;
 
 use crate::cli::{
+    camera_args::CameraArgs,
     command_line,
     failure::{OrBadInput, Outcome, bad_input, report, say},
     interrupt,
@@ -16,14 +17,14 @@ use clap::Args;
 use measure::{Figures, Measurement};
 use page::{INDEX, Page};
 use realnet::{
-    CameraCalibration, CameraModel, Distortion, Intrinsics,
+    CameraModel, Distortion, Intrinsics,
     datasets::{
         TargetBoxes,
         rgbd::{RgbdError, RgbdOptions, RgbdSequence},
     },
     motion::MotionError,
 };
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 pub(crate) struct MotionArgs {
@@ -56,26 +57,6 @@ pub(crate) struct MotionArgs {
     camera: CameraArgs,
     #[command(flatten)]
     files: FileArgs,
-}
-
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Camera [default: the data set's customary one, where there is one]")]
-struct CameraArgs {
-    /// A ROS calibration file, of the pictures' size or of the same picture at another.
-    #[arg(long, value_name = "YAML", conflicts_with_all = ["fx", "fy", "cx", "cy"])]
-    camera: Option<PathBuf>,
-    /// Focal length along the rows, in pixels of the pictures as they are.
-    #[arg(long, value_name = "PX", value_parser = parse_positive)]
-    fx: Option<f64>,
-    /// Focal length along the columns [default: --fx].
-    #[arg(long, value_name = "PX", requires = "fx", value_parser = parse_positive)]
-    fy: Option<f64>,
-    /// Column of the principal point [default: the middle].
-    #[arg(long, value_name = "PX", requires = "fx", allow_hyphen_values = true)]
-    cx: Option<f64>,
-    /// Row of the principal point [default: the middle].
-    #[arg(long, value_name = "PX", requires = "fx", allow_hyphen_values = true)]
-    cy: Option<f64>,
 }
 
 #[derive(Debug, Args)]
@@ -117,7 +98,7 @@ pub(crate) fn run(args: &MotionArgs) -> Result<Outcome> {
         say(format!("{}: no box for any frame", path.display()));
     }
     let first = frames[0].color().or_bad_input()?;
-    let camera = args.camera.camera(&sequence, first.width(), first.height())?;
+    let camera = camera(&args.camera, &sequence, first.width(), first.height())?;
     let mut page = match &args.report {
         Some(directory) => {
             Some(Page::create(directory, frames.len() as u64, args.boxes.as_deref())?)
@@ -171,54 +152,27 @@ pub(crate) fn run(args: &MotionArgs) -> Result<Outcome> {
     told.map(|()| outcome)
 }
 
-impl CameraArgs {
-    fn camera(&self, sequence: &RgbdSequence, width: u32, height: u32) -> Result<CameraModel> {
-        if let Some(path) = &self.camera {
-            return read_camera(path, width, height);
-        }
-        let intrinsics = match self.fx {
-            Some(fx) => Intrinsics {
-                fx,
-                fy: self.fy.unwrap_or(fx),
-                cx: self.cx.unwrap_or(f64::from(width - 1) / 2.0),
-                cy: self.cy.unwrap_or(f64::from(height - 1) / 2.0),
-            },
-            None => {
-                let layout = sequence.layout();
-                let intrinsics = layout.customary_intrinsics(width, height).ok_or_else(|| {
-                    bad_input(format!(
-                        "{}: no customary camera for {layout} pictures of {width}x{height}: give \
-                         --fx (and --fy, --cx, --cy), or --camera camera.yaml",
-                        sequence.folder().display()
-                    ))
-                })?;
-                let Intrinsics { fx, fy, cx, cy } = intrinsics;
-                say(format!("camera: the customary one of {layout}: {fx} {fy} {cx} {cy}"));
-                intrinsics
-            }
-        };
-        CameraModel::new(width, height, intrinsics, Distortion::None).or_bad_input()
-    }
-}
-
-/// A calibration for pictures of this size.
-fn read_camera(path: &Path, width: u32, height: u32) -> Result<CameraModel> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| bad_input(format!("cannot read {}: {error}", path.display())))?;
-    let calibration = CameraCalibration::from_ros_yaml(&text)
-        .map_err(|error| bad_input(format!("{}: {error}", path.display())))?;
-    let camera = *calibration.camera();
-    if (camera.width(), camera.height()) == (width, height) {
+/// The camera that the flags tell, or the layout's customary one.
+fn camera(
+    args: &CameraArgs,
+    sequence: &RgbdSequence,
+    width: u32,
+    height: u32,
+) -> Result<CameraModel> {
+    if let Some(camera) = args.given(width, height)? {
         return Ok(camera);
     }
-    let (own_width, own_height) = (u64::from(camera.width()), u64::from(camera.height()));
-    if own_width * u64::from(height) != own_height * u64::from(width) {
-        return Err(bad_input(format!(
-            "{}: a camera of {own_width}x{own_height} for pictures of {width}x{height}",
-            path.display()
-        )));
-    }
-    camera.scaled(width, height).or_bad_input()
+    let layout = sequence.layout();
+    let intrinsics = layout.customary_intrinsics(width, height).ok_or_else(|| {
+        bad_input(format!(
+            "{}: no customary camera for {layout} pictures of {width}x{height}: give --fx (and \
+             --fy, --cx, --cy), or --camera camera.yaml",
+            sequence.folder().display()
+        ))
+    })?;
+    let Intrinsics { fx, fy, cx, cy } = intrinsics;
+    say(format!("camera: the customary one of {layout}: {fx} {fy} {cx} {cy}"));
+    CameraModel::new(width, height, intrinsics, Distortion::None).or_bad_input()
 }
 
 /// The figures for people.

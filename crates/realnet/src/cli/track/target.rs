@@ -15,7 +15,7 @@ const RETRY_SECONDS: f64 = 0.5;
 const SAME_TARGET: f32 = 0.2;
 
 /// Where boxes come from.
-pub(super) enum Finder {
+pub(in crate::cli) enum Finder {
     /// Nobody wants one.
     None,
     /// The first frame's, from the command line.
@@ -29,7 +29,7 @@ pub(super) enum Finder {
 /// How a frame's box came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Status {
+pub(in crate::cli) enum Status {
     /// There was none yet.
     Waiting,
     /// From the command line or a file of boxes.
@@ -44,17 +44,17 @@ pub(super) enum Status {
 
 /// The box in the present frame.
 #[derive(Clone, Debug, Default)]
-pub(super) struct State {
-    pub(super) status: Option<Status>,
-    pub(super) bbox: Option<BoundingBox>,
+pub(in crate::cli) struct State {
+    pub(in crate::cli) status: Option<Status>,
+    pub(in crate::cli) bbox: Option<BoundingBox>,
     /// Why it was lost.
-    pub(super) reason: Option<String>,
+    pub(in crate::cli) reason: Option<String>,
     /// How it was carried, also when another box has replaced it since.
-    pub(super) carried: Option<Carried>,
+    pub(in crate::cli) carried: Option<Carried>,
     /// Confidence of the detection it is from.
-    pub(super) confidence: Option<f32>,
+    pub(in crate::cli) confidence: Option<f32>,
     /// Overlap with the box that the file of boxes has for this frame.
-    pub(super) iou: Option<f32>,
+    pub(in crate::cli) iou: Option<f32>,
 }
 
 /// A box in the last frame that had one.
@@ -82,7 +82,7 @@ impl Known {
 }
 
 /// Follows one target.
-pub(super) struct Target {
+pub(in crate::cli) struct Target {
     finder: Finder,
     every: u64,
     first: Option<BoundingBox>,
@@ -96,7 +96,11 @@ pub(super) struct Target {
 }
 
 impl Target {
-    pub(super) fn new(finder: Finder, every: u64, first: Option<BoundingBox>) -> Result<Self> {
+    pub(in crate::cli) fn new(
+        finder: Finder,
+        every: u64,
+        first: Option<BoundingBox>,
+    ) -> Result<Self> {
         let carrier = BoxCarrier::new(CarryOptions::default()).or_bad_input()?;
         // A box of the command line stands for the first look of a network.
         let wait = if first.is_some() { every } else { 0 };
@@ -105,32 +109,32 @@ impl Target {
     }
 
     /// Whether there is a target at all.
-    pub(super) fn is_wanted(&self) -> bool {
+    pub(in crate::cli) fn is_wanted(&self) -> bool {
         !matches!(self.finder, Finder::None)
     }
 
     /// Whether there ever was a box.
-    pub(super) fn had_box(&self) -> bool {
+    pub(in crate::cli) fn had_box(&self) -> bool {
         self.last.is_some()
     }
 
     /// The present frame's box.
-    pub(super) fn state(&self) -> &State {
+    pub(in crate::cli) fn state(&self) -> &State {
         &self.state
     }
 
     /// The points of the box that were tracked to the present frame.
-    pub(super) fn points(&self) -> &[CarriedPoint] {
+    pub(in crate::cli) fn points(&self) -> &[CarriedPoint] {
         if self.state.carried.is_some() { self.carrier.points() } else { &[] }
     }
 
     /// The box in the previous frame, if it is known there.
-    pub(super) fn previous_box(&self) -> Option<&BoundingBox> {
+    pub(in crate::cli) fn previous_box(&self) -> Option<&BoundingBox> {
         self.known.as_ref().filter(|known| known.picture.is_none()).map(|known| &known.bbox)
     }
 
     /// Carries the box to the present frame.
-    pub(super) fn carry(&mut self, previous: &Pyramid, present: &Pyramid) {
+    pub(in crate::cli) fn carry(&mut self, previous: &Pyramid, present: &Pyramid) {
         let before = std::mem::take(&mut self.state);
         if !self.is_wanted() {
             return;
@@ -180,7 +184,7 @@ impl Target {
     /// Takes a new box where one is due: frame `number` of the file of boxes, or
     /// what the network finds in `frame`. A lost box is looked for by the network
     /// in every frame.
-    pub(super) fn look(&mut self, frame: &Frame, number: u64) -> Result<()> {
+    pub(in crate::cli) fn look(&mut self, frame: &Frame, number: u64) -> Result<()> {
         let found = match (self.first.take(), &mut self.finder) {
             (Some(bbox), _) => Some((bbox, Status::Given, None)),
             (None, Finder::None | Finder::First) => None,
