@@ -127,7 +127,7 @@ impl OwnCamera {
         let name = match sequence.layout() {
             RgbdLayout::SevenScenes => "7-Scenes",
             RgbdLayout::Tum => "TUM RGB-D",
-            RgbdLayout::Numbered | RgbdLayout::Pairs => return Ok(Self::Unknown),
+            _ => return Ok(Self::Unknown),
         };
         let customary = sequence.layout().customary_intrinsics(640, 480);
         Ok(customary.map_or(Self::Unknown, |own| Self::Customary(name, own)))
