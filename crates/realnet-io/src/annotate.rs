@@ -40,6 +40,7 @@ pub fn class_color(class_id: u32) -> [u8; 3] {
 pub struct Annotator {
     names: Vec<String>,
     font: FontRef<'static>,
+    with_confidence: bool,
 }
 
 /// Edges of a drawn area in whole pixels, right and bottom excluded.
@@ -85,7 +86,13 @@ impl Annotator {
     /// [`InvalidFont`] if the built-in font were damaged.
     pub fn new(names: Vec<String>) -> Result<Self, InvalidFont> {
         let font = FontRef::try_from_slice(epaint_default_fonts::HACK_REGULAR)?;
-        Ok(Self { names, font })
+        Ok(Self { names, font, with_confidence: true })
+    }
+
+    /// Writes names alone: for labels, which have no confidence.
+    #[must_use]
+    pub fn without_confidence(self) -> Self {
+        Self { with_confidence: false, ..self }
     }
 
     /// Draws boxes with name and confidence on `frame`; a grey frame becomes
@@ -124,11 +131,11 @@ impl Annotator {
     }
 
     fn text_of(&self, detection: &Detection) -> String {
-        let confidence = detection.confidence;
-        match self.names.get(detection.class_id as usize) {
-            Some(name) => format!("{name} {confidence:.2}"),
-            None => format!("{} {confidence:.2}", detection.class_id),
-        }
+        let name = match self.names.get(detection.class_id as usize) {
+            Some(name) => name.clone(),
+            None => detection.class_id.to_string(),
+        };
+        if self.with_confidence { format!("{name} {:.2}", detection.confidence) } else { name }
     }
 
     /// Where the label goes: above the box, else inside its top, below it or
@@ -292,6 +299,15 @@ mod tests {
             assert!(!placed.iter().any(|p: &Area| p.overlaps(&label)), "{label:?}");
             placed.push(label);
         }
+    }
+
+    #[test]
+    fn labels_go_without_confidence() {
+        let annotator = Annotator::new(vec!["car".into()]).unwrap();
+        assert_eq!(annotator.text_of(&detection(0, [0.0; 4])), "car 0.50");
+        let annotator = annotator.without_confidence();
+        assert_eq!(annotator.text_of(&detection(0, [0.0; 4])), "car");
+        assert_eq!(annotator.text_of(&detection(3, [0.0; 4])), "3");
     }
 
     #[test]

@@ -123,7 +123,32 @@ pub fn parse(text: &str, classes: usize) -> Result<Labels, LabelError> {
     Ok(labels)
 }
 
+/// The rows of a label file one by one, each with its line (from 1), for a reader that
+/// goes on after a bad one; empty lines are skipped. Coordinates outside 0..1 are left
+/// as they are, so [`LabelErrorKind::Range`] is not among the errors, and rows that are
+/// written twice come twice.
+pub fn rows(
+    text: &str,
+    classes: usize,
+) -> impl Iterator<Item = (usize, Result<Label, LabelErrorKind>)> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let rows = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
+    rows.map(move |(line, row)| (line, values(row, classes).map(|(class, v)| label(class, &v))))
+}
+
 fn row(line: &str, classes: usize) -> Result<Label, LabelErrorKind> {
+    let (class_id, mut values) = values(line, classes)?;
+    for (index, value) in values.iter_mut().enumerate() {
+        if !(-TOLERANCE..=1.0 + TOLERANCE).contains(value) {
+            return Err(LabelErrorKind::Range { column: index + 2, value: *value });
+        }
+        *value = value.clamp(0.0, 1.0);
+    }
+    Ok(label(class_id, &values))
+}
+
+/// The class and the numbers behind it: 4, or 6 and more.
+fn values(line: &str, classes: usize) -> Result<(u32, Vec<f64>), LabelErrorKind> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let (Some((class, rest)), found) = (words.split_first(), words.len()) else {
         return Err(LabelErrorKind::Count { found: 0 });
@@ -132,16 +157,14 @@ fn row(line: &str, classes: usize) -> Result<Label, LabelErrorKind> {
         return Err(LabelErrorKind::Count { found });
     }
     let class_id = class_of(class, classes)?;
-    let mut values = Vec::with_capacity(rest.len());
-    for (index, word) in rest.iter().enumerate() {
-        let value = number(word, index + 2)?;
-        if !(-TOLERANCE..=1.0 + TOLERANCE).contains(&value) {
-            return Err(LabelErrorKind::Range { column: index + 2, value });
-        }
-        values.push(value.clamp(0.0, 1.0));
-    }
-    if let [cx, cy, w, h] = values[..] {
-        return Ok(Label { class_id, cx, cy, w, h });
+    let values: Result<_, _> = rest.iter().zip(2..).map(|(w, column)| number(w, column)).collect();
+    Ok((class_id, values?))
+}
+
+/// A box, or the one around a polygon.
+fn label(class_id: u32, values: &[f64]) -> Label {
+    if let [cx, cy, w, h] = *values {
+        return Label { class_id, cx, cy, w, h };
     }
     let bounds = |offset: usize| {
         values
@@ -152,7 +175,7 @@ fn row(line: &str, classes: usize) -> Result<Label, LabelErrorKind> {
     };
     let ((x0, x1), (y0, y1)) = (bounds(0), bounds(1));
     let (cx, cy) = ((x0 + x1) / 2.0, (y0 + y1) / 2.0);
-    Ok(Label { class_id, cx, cy, w: x1 - x0, h: y1 - y0 })
+    Label { class_id, cx, cy, w: x1 - x0, h: y1 - y0 }
 }
 
 fn number(word: &str, column: usize) -> Result<f64, LabelErrorKind> {
@@ -228,6 +251,18 @@ mod tests {
             assert!((found - wanted).abs() < 1e-4);
         }
         assert_eq!(parse("0 1.005 -0.005 0.2 0.1", 1).unwrap().rows[0].cx, 1.0);
+    }
+
+    #[test]
+    fn rows_go_on_after_a_bad_one() {
+        let text = "0 1.2 0.5 0.6 0.1\n\n0 nan 0.5 0.2 0.1\n7 0.5 0.5 0.2 0.1\n1 0 0 2 0 2 4";
+        let read: Vec<_> = rows(text, 2).collect();
+        assert_eq!(read[0], (1, Ok(Label { class_id: 0, cx: 1.2, cy: 0.5, w: 0.6, h: 0.1 })));
+        assert_eq!(read[1].0, 3);
+        assert!(matches!(read[1].1, Err(LabelErrorKind::Number { column: 2, .. })));
+        assert_eq!(read[2].0, 4);
+        assert!(matches!(read[2].1, Err(LabelErrorKind::Class { classes: 2, .. })));
+        assert_eq!(read[3], (5, Ok(Label { class_id: 1, cx: 1.0, cy: 2.0, w: 2.0, h: 4.0 })));
     }
 
     #[test]

@@ -5,12 +5,17 @@
 //! | [`SevenScenes`](RgbdLayout::SevenScenes) | `frame-NNNNNN.color.png` (or `.jpg`), `.depth.png`, `.pose.txt` (4x4, camera to world) in one folder | 1000 | number by frame rate |
 //! | [`Tum`](RgbdLayout::Tum) | `rgb.txt`, `depth.txt`, `groundtruth.txt`; or `rgb/` and `depth/` with stamps as names | 5000 | as written |
 //! | [`Numbered`](RgbdLayout::Numbered) | `color/N.png` (or `rgb/N`), `depth/N.png` or `.pgm`, `pose.txt` | by the rule below | number by frame rate |
+//! | [`Kitti`](RgbdLayout::Kitti) | `image/`, `groundtruth_depth/`, `intrinsics/` of a selection; or `image_02/data/N.png` and `proj_depth/groundtruth/image_02/N.png` of a drive | 256 | number by frame rate |
 //! | [`Pairs`](RgbdLayout::Pairs) | `N.png` and `N_depth.png` (or `.pgm`) in one folder, `pose.txt` | by the rule below | number by frame rate |
 //!
 //! The depth scale is how many units make a metre. Files cannot tell it, so
 //! numbered layouts go by their kind: a **PGM has millimetres (1000)**, as it
 //! comes from a driver, a **PNG 5000**, as the TUM tools write it. PNG files in
 //! millimetres (NYU, ScanNet) need [`RgbdOptions::depth_scale`] 1000.
+//!
+//! The camera may be told by a file beside the pictures, see [`RgbdFrame::camera`]:
+//! `camera.yaml` (ROS), `intrinsics.txt` (`fx fy cx cy`, or the camera matrix), or those
+//! of KITTI.
 //!
 //! `pose.txt` has one pose a line, camera to world, `tx ty tz qx qy qz qw`, for
 //! the frames in rising order of their numbers. TUM depth maps are given to
@@ -29,6 +34,8 @@
 //! # Ok::<(), realnet_io::datasets::rgbd::RgbdError>(())
 //! ```
 
+mod camera;
+mod kitti;
 mod numbered;
 mod poses;
 mod seven_scenes;
@@ -38,7 +45,7 @@ mod tum;
 
 use crate::depth::{self, DepthFileError};
 use crate::picture::{self, Limits, PictureError};
-use realnet_core::{DepthMap, Frame, Intrinsics, Pose, PoseError, Stamp};
+use realnet_core::{CameraModel, DepthMap, Frame, Intrinsics, Pose, PoseError, Stamp};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::io;
@@ -56,6 +63,8 @@ pub enum RgbdLayout {
     Numbered,
     /// `N.png` with `N_depth.png` side by side.
     Pairs,
+    /// Depth of KITTI: a selection, or a drive.
+    Kitti,
 }
 
 impl fmt::Display for RgbdLayout {
@@ -65,6 +74,7 @@ impl fmt::Display for RgbdLayout {
             Self::Tum => "TUM",
             Self::Numbered => "numbered folders",
             Self::Pairs => "numbered pairs",
+            Self::Kitti => "KITTI depth",
         })
     }
 }
@@ -134,7 +144,8 @@ pub enum RgbdError {
     #[error(
         "{}: no RGB-D sequence here. Looked for frame-NNNNNN.color.png or .jpg (7-Scenes), rgb.txt \
          or rgb/ with stamps as names (TUM), color/ or rgb/ beside depth/ with numbered pictures, \
-         and N.png beside N_depth.png",
+         N.png beside N_depth.png, and image/ beside groundtruth_depth/ or image_02/data/ beside \
+         proj_depth/groundtruth/image_02/ (KITTI)",
         path.display()
     )]
     Unrecognised {
@@ -209,6 +220,14 @@ pub enum RgbdError {
         /// What it must be.
         rule: &'static str,
     },
+    /// A camera file that cannot be used.
+    #[error("{}: {message}", path.display())]
+    Camera {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
     /// A frame without a depth file was asked for its depth.
     #[error("frame {name} has no depth map")]
     NoDepth {
@@ -259,6 +278,8 @@ pub struct RgbdFrame {
     /// Where the camera was (optical frame: z forward, x right, y down), if that
     /// is known.
     pub world_from_camera: Option<Pose>,
+    /// The file that tells its camera, if there is one, see [`RgbdFrame::camera`].
+    pub camera_path: Option<PathBuf>,
     depth_scale: f64,
     limits: Limits,
 }
@@ -282,6 +303,18 @@ impl RgbdFrame {
             return Err(RgbdError::NoDepth { name: self.name.clone() });
         };
         Ok(depth::read(path, self.depth_scale, &self.limits)?.with_stamp(self.stamp))
+    }
+
+    /// Reads the camera of [`RgbdFrame::camera_path`] for pictures of `width` x `height`
+    /// pixels; `None` without one. A `.yaml` is the calibration of ROS, scaled to the size;
+    /// `calib_cam_to_cam.txt` that of KITTI; another `.txt` has `fx fy cx cy`, or the nine
+    /// numbers of the camera matrix row by row, in pixels of the picture.
+    ///
+    /// # Errors
+    /// [`RgbdError::Read`] or [`RgbdError::Camera`].
+    pub fn camera(&self, width: u32, height: u32) -> Result<Option<CameraModel>, RgbdError> {
+        let Some(path) = &self.camera_path else { return Ok(None) };
+        camera::read(path, &self.color_path, (width, height)).map(Some)
     }
 
     /// Reads the colour picture, and the depth map if there is one, and checks
@@ -334,7 +367,9 @@ impl RgbdSequence {
             RgbdLayout::Tum => tum::list(folder, options.max_stamp_difference)?,
             RgbdLayout::Numbered => numbered::list_folders(folder)?,
             RgbdLayout::Pairs => numbered::list_pairs(folder)?,
+            RgbdLayout::Kitti => kitti::list(folder)?,
         };
+        let camera_path = camera::beside(folder);
         let first = raw.first().map_or(0, |f| f.number);
         let depth_scale = options.depth_scale.unwrap_or_else(|| default_scale(layout, &raw));
         let frame = |raw: RawFrame| RgbdFrame {
@@ -347,6 +382,7 @@ impl RgbdSequence {
             depth_path: raw.depth,
             depth_stamp: raw.depth_stamp,
             world_from_camera: raw.pose,
+            camera_path: raw.camera_file.or_else(|| camera_path.clone()),
             depth_scale,
             limits: options.limits,
         };
@@ -388,6 +424,7 @@ struct RawFrame {
     depth: Option<PathBuf>,
     depth_stamp: Option<Stamp>,
     pose: Option<Pose>,
+    camera_file: Option<PathBuf>,
 }
 
 fn check(
@@ -404,6 +441,7 @@ fn default_scale(layout: RgbdLayout, frames: &[RawFrame]) -> f64 {
     match layout {
         RgbdLayout::SevenScenes => 1000.0,
         RgbdLayout::Tum => 5000.0,
+        RgbdLayout::Kitti => 256.0,
         RgbdLayout::Numbered | RgbdLayout::Pairs => {
             match frames.iter().find_map(|f| f.depth.as_ref()) {
                 Some(path) if is_pgm(path) => 1000.0,
@@ -431,6 +469,9 @@ fn recognise(folder: &Path) -> Result<RgbdLayout, RgbdError> {
     }
     if numbered::has_pairs(&entries) {
         return Ok(RgbdLayout::Pairs);
+    }
+    if kitti::is_here(folder) {
+        return Ok(RgbdLayout::Kitti);
     }
     let path = folder.to_path_buf();
     let mut names: Vec<String> = entries

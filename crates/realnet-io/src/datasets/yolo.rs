@@ -184,6 +184,21 @@ impl YoloDataset {
     /// [`DatasetError`] when there is no such part, a folder, list or listed
     /// picture is missing, or there is no picture at all.
     pub fn split(&self, split: &str) -> Result<Vec<Sample>, DatasetError> {
+        self.pictures(split, true)
+    }
+
+    /// As [`YoloDataset::split`], but pictures of a list that do not exist are given too,
+    /// for a reader that counts and leaves out what is missing.
+    ///
+    /// # Errors
+    /// [`DatasetError`] when there is no such part, a folder or list is missing, or there
+    /// is no picture at all.
+    pub fn split_with_missing(&self, split: &str) -> Result<Vec<Sample>, DatasetError> {
+        self.pictures(split, false)
+    }
+
+    /// The pictures of one part; those of a list `must_exist` or not.
+    fn pictures(&self, split: &str, must_exist: bool) -> Result<Vec<Sample>, DatasetError> {
         let Some(entries) = self.splits.get(split) else {
             let present = self.splits().collect::<Vec<_>>().join(", ");
             let (path, split) = (self.file.clone(), split.to_string());
@@ -201,7 +216,7 @@ impl YoloDataset {
                 });
                 images.append(&mut found);
             } else if path.is_file() {
-                images.append(&mut self.listed(&path)?);
+                images.append(&mut self.listed(&path, must_exist)?);
             } else {
                 let origin = format!("{}: `{split}`", self.file.display());
                 return Err(DatasetError::Missing { origin, missing: path });
@@ -225,7 +240,7 @@ impl YoloDataset {
     /// The pictures of a list: `./x` is relative to the list's folder, anything
     /// else to the data set's `path`, or, if it is not there, to the list's
     /// folder too.
-    fn listed(&self, list: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    fn listed(&self, list: &Path, must_exist: bool) -> Result<Vec<PathBuf>, DatasetError> {
         let folder = list.parent().unwrap_or(Path::new(""));
         let mut found = Vec::new();
         for (index, line) in read_text(list)?.lines().enumerate() {
@@ -237,11 +252,12 @@ impl YoloDataset {
                 Some(rest) => [Some(folder.join(rest)), None],
                 None => [Some(self.root.join(line)), Some(folder.join(line))],
             };
-            let path = candidates.iter().flatten().find(|p| p.is_file()).cloned();
-            found.push(path.ok_or_else(|| DatasetError::Missing {
-                origin: format!("{}:{}", list.display(), index + 1),
-                missing: self.root.join(line),
-            })?);
+            let there = candidates.iter().flatten().find(|p| p.is_file());
+            if must_exist && there.is_none() {
+                let origin = format!("{}:{}", list.display(), index + 1);
+                return Err(DatasetError::Missing { origin, missing: self.root.join(line) });
+            }
+            found.extend(there.or(candidates.iter().flatten().next()).cloned());
         }
         Ok(found)
     }

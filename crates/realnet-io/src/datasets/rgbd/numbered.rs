@@ -11,7 +11,7 @@ const DEPTH: &str = "depth";
 const POSES: &str = "pose.txt";
 
 /// The number that a stem is, digits only.
-fn number(stem: &str) -> Option<u64> {
+pub(super) fn number(stem: &str) -> Option<u64> {
     let digits = !stem.is_empty() && stem.bytes().all(|b| b.is_ascii_digit());
     if digits { stem.parse().ok() } else { None }
 }

@@ -317,3 +317,64 @@ fn suggested_intrinsics_are_for_the_published_size() {
     assert_eq!(RgbdLayout::SevenScenes.customary_intrinsics(320, 240), None);
     assert_eq!(RgbdLayout::Pairs.customary_intrinsics(640, 480), None);
 }
+
+#[test]
+fn kitti_selections_and_drives() {
+    let selection = folder(&[
+        ("image/d_sync_image_0000000005_image_02.png", ""),
+        ("image/d_sync_image_0000000009_image_02.png", ""),
+        ("groundtruth_depth/d_sync_groundtruth_depth_0000000005_image_02.png", ""),
+        ("intrinsics/d_sync_image_0000000005_image_02.txt", "7e2 0 6e2 0 7.1e2 1.7e2 0 0 1\n"),
+    ]);
+    let read = open(selection.path()).unwrap();
+    assert_eq!((read.layout(), read.depth_scale()), (RgbdLayout::Kitti, 256.0));
+    let [first, second] = read.frames() else { panic!("{:?}", read.frames()) };
+    let (_, depth) = first.read().unwrap();
+    assert_eq!(depth.unwrap().data(), [0.0, 1000.0 / 256.0, 5000.0 / 256.0, 0.0]);
+    let camera = first.camera(2, 2).unwrap().unwrap();
+    assert_eq!((camera.fx(), camera.fy(), camera.cx(), camera.cy()), (700.0, 710.0, 600.0, 170.0));
+    assert!(second.depth_path.is_none() && second.camera(2, 2).unwrap().is_none());
+
+    let drive = folder(&[
+        ("calib_cam_to_cam.txt", "R_02: 1 2\nP_rect_02: 7 0 6 45 0 8 2 -0.3 0 0 1 0\n"),
+        ("drive/image_02/data/0000000005.png", ""),
+        ("drive/image_02/data/0000000006.png", ""),
+        ("drive/proj_depth/groundtruth/image_02/0000000006.png", ""),
+    ]);
+    let read = open(&drive.path().join("drive")).unwrap();
+    let [first, second] = read.frames() else { panic!("{:?}", read.frames()) };
+    assert_eq!((first.number, second.number), (5, 6));
+    assert!(first.depth_path.is_none() && second.depth_path.is_some());
+    let camera = second.camera(2, 2).unwrap().unwrap();
+    assert_eq!((camera.fx(), camera.fy(), camera.cx(), camera.cy()), (7.0, 8.0, 6.0, 2.0));
+}
+
+#[test]
+fn cameras_are_read_from_files_beside_the_pictures() {
+    let with = |name: &str, text: &str| {
+        let dir = folder(&[("rgb/1.png", ""), ("depth/1.png", ""), (name, text)]);
+        let frame = open(dir.path()).unwrap().frames()[0].clone();
+        frame.camera(2, 2)
+    };
+    let camera = with("intrinsics.txt", "5, 6, 0.5 0.25\n").unwrap().unwrap();
+    assert_eq!((camera.fx(), camera.fy(), camera.cx(), camera.cy()), (5.0, 6.0, 0.5, 0.25));
+    assert_eq!(with("other.txt", "5 6 0.5 0.25").unwrap(), None);
+    for (text, wanted) in [
+        ("5 6 0.5", "3 numbers, expected 4"),
+        ("5 x 1 2", "\"x\" is no number"),
+        ("0 6 1 2", "focal length fx is 0"),
+    ] {
+        let error = with("intrinsics.txt", text).unwrap_err().to_string();
+        assert!(error.contains("intrinsics.txt: ") && error.contains(wanted), "{error}");
+    }
+    let yaml = |width, height| {
+        let intrinsics = Intrinsics { fx: 10.0, fy: 10.0, cx: 1.5, cy: 1.5 };
+        let camera =
+            CameraModel::new(width, height, intrinsics, realnet_core::Distortion::None).unwrap();
+        realnet_core::CameraCalibration::new("c", camera).to_ros_yaml()
+    };
+    let camera = with("camera.yaml", &yaml(4, 4)).unwrap().unwrap();
+    assert_eq!((camera.width(), camera.fx(), camera.cx()), (2, 5.0, 0.5));
+    let error = with("camera.yaml", &yaml(4, 2)).unwrap_err().to_string();
+    assert!(error.contains("4x2 pixels") && error.contains("2x2: another shape"), "{error}");
+}

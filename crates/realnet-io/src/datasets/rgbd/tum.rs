@@ -113,6 +113,7 @@ pub(super) fn list(folder: &Path, max_difference: f64) -> Result<Vec<RawFrame>, 
     let frame = |((number, (stamp, color)), partner): ((u64, Stamped), Option<usize>)| {
         let depth = partner.and_then(|i| depth.get(i)).cloned();
         RawFrame {
+            camera_file: None,
             number,
             stamp: Some(stamp),
             color,
