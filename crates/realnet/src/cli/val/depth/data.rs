@@ -14,7 +14,7 @@ use realnet::{
     picture::{self, Limits},
 };
 use std::{
-    collections::HashSet,
+    collections::{HashMap, HashSet},
     path::{Path, PathBuf},
 };
 
@@ -285,23 +285,25 @@ impl Data {
         let text = std::fs::read_to_string(path)
             .with_context(|| format!("cannot read {}", path.display()))
             .or_bad_input()?;
-        let mut kept = HashSet::new();
+        // A picture is called by its name, its file's name or its number.
+        let mut called: HashMap<PathBuf, Vec<usize>> = HashMap::new();
+        let mut numbered: HashMap<u64, Vec<usize>> = HashMap::new();
+        for (index, sample) in self.samples.iter().enumerate() {
+            let (name, file) = (sample.name(), sample.color.file_name().unwrap_or_default());
+            called.entry(name).or_default().push(index);
+            called.entry(PathBuf::from(file)).or_default().push(index);
+            numbered.entry(sample.number).or_default().push(index);
+        }
+        let mut kept: HashSet<usize> = HashSet::new();
         for (line, words) in (1..).zip(text.lines()) {
             let words = words.split('#').next().unwrap_or_default().trim();
             if words.is_empty() {
                 continue;
             }
-            let number = words.parse::<u64>().ok();
-            let asked = Path::new(words);
+            let by_number = words.parse().ok().and_then(|number: u64| numbered.get(&number));
+            let found = called.get(Path::new(words)).into_iter().chain(by_number).flatten();
             let before = kept.len();
-            for (index, sample) in self.samples.iter().enumerate() {
-                let name = sample.name();
-                let file = sample.color.file_name().unwrap_or_default();
-                let same = name == asked || asked.as_os_str() == file;
-                if same || number == Some(sample.number) {
-                    kept.insert(index);
-                }
-            }
+            kept.extend(found);
             if kept.len() == before {
                 return Err(bad_input(format!(
                     "{}:{line}: no picture with depth is called '{words}', or it stands twice",
