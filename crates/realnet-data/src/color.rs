@@ -210,7 +210,7 @@ fn shift_hsv(red: &mut [u8], green: &mut [u8], blue: &mut [u8], gains: [f32; 3])
         let channel = |n: f32| {
             let k = n + hue;
             let k = if k >= 6.0 { k - 6.0 } else { k };
-            let share = k.min(4.0 - k).min(1.0).max(0.0);
+            let share = k.min(4.0 - k).clamp(0.0, 1.0);
             (value - depth * share + 0.5) as i32 as u8
         };
         *red = channel(5.0);

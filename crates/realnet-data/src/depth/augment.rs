@@ -11,7 +11,7 @@ use realnet_core::{Intrinsics, OptionError};
 use realnet_vision::simd::Simd;
 use realnet_vision::{Letterbox, Region};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 /// How much pictures with depth are changed. 0 switches a change off.
@@ -212,7 +212,7 @@ impl Samples for DepthSamples {
         });
         Ok(DepthSample {
             index,
-            path: self.set.path(index).map(Path::to_path_buf).unwrap_or_else(PathBuf::new),
+            path: self.set.path(index).map(Path::to_path_buf).unwrap_or_default(),
             width,
             height,
             image,
