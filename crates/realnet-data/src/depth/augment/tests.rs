@@ -11,9 +11,9 @@ use realnet_io::{depth, picture};
 use realnet_vision::{Filter, Letterboxer};
 
 /// Depth of the bowl `z = NEAR + BEND (x² + y²)`, which a turn about the optical axis and a
-/// mirror leave as it is.
+/// mirror leave as it is; flat enough that every ray of the cameras below meets it.
 const NEAR: f64 = 1.5;
-const BEND: f64 = 0.2;
+const BEND: f64 = 0.08;
 
 fn camera(width: u32, height: u32, focal: f64) -> CameraModel {
     let intrinsics = Intrinsics {
