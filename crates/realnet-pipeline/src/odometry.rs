@@ -2,7 +2,7 @@
 
 use crate::ring::{KEPT, Ring, Stamped};
 use crate::step::BackgroundStep;
-use realnet_core::nalgebra::{UnitQuaternion, Vector3};
+use realnet_core::nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use realnet_core::{Pose, Pose2, Stamp};
 
 /// Faster turns are no robot's, rad/s: one wild motion would turn the fixed frame for good.
@@ -44,6 +44,11 @@ impl CameraMount {
         Pose2::new(self.forward_m, self.left_m, 0.0)
     }
 }
+
+/// How fast the rear axle slides sideways at most times, m/s.
+const SLIP_M_S: f64 = 0.05;
+/// By how much the errors of a depth map widen the covariance of a motion from it.
+const DEPTH_INFLATION: f64 = 25.0;
 
 impl Stamped for (Stamp, Pose2) {
     fn stamp(&self) -> Stamp {
@@ -88,10 +93,28 @@ impl OwnOdometry {
         }
         let before_from_now = step.now_from_before.inverse();
         let moved = self.base_from_optical * before_from_now * self.base_from_optical.inverse();
-        let twist = moved.log() / step.seconds;
+        let twist = self.without_sliding(moved.log(), step) / step.seconds;
         let (speed, yaw_rate) = (twist[0], twist[5]);
         let believed = speed.abs() <= self.max_speed && yaw_rate.abs() <= MAX_YAW_RATE;
         believed.then_some((speed, yaw_rate))
+    }
+
+    /// Wheels roll where they point: the axle does not move sideways. In a picture whose
+    /// corners all lie about as far away, a turn looks like a step aside; with this it does
+    /// not, because the estimate's covariance knows which turn goes with which step.
+    fn without_sliding(&self, twist: Vector6<f64>, step: &BackgroundStep) -> Vector6<f64> {
+        // The perturbation of the optical frame, in the base frame: v' = R v + t x R w.
+        let rotation = self.base_from_optical.rotation().to_rotation_matrix().into_inner();
+        let lever = self.base_from_optical.translation().cross_matrix() * rotation;
+        let mut adjoint = Matrix6::zeros();
+        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        adjoint.fixed_view_mut::<3, 3>(0, 3).copy_from(&lever);
+        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        let covariance = adjoint * step.covariance * adjoint.transpose() * DEPTH_INFLATION;
+        let together = covariance.column(1);
+        let slip = SLIP_M_S * step.seconds;
+        let gain = together / (together[1] + slip * slip);
+        if gain.iter().all(|g| g.is_finite()) { twist - gain * twist[1] } else { twist }
     }
 
     /// Goes on to the next frame at a mean speed and rate of turn.

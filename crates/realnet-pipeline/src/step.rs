@@ -1,5 +1,6 @@
 //! The background's motion from one frame to the next.
 
+use realnet_core::nalgebra::Matrix6;
 use realnet_core::{Pose, Stamp};
 use realnet_range::motion::Motion;
 
@@ -17,6 +18,9 @@ pub struct BackgroundStep {
     pub now_from_before: Pose,
     /// Standard deviation of its rotation, radians.
     pub rotation_std: f64,
+    /// Covariance of its left perturbation `[v; w]`, metres and radians: which errors go
+    /// together. Errors of the depth map make them larger than it says.
+    pub covariance: Matrix6<f64>,
     /// Whether most corners agree with it.
     pub is_sure: bool,
     /// Whether both frames were seen from one depth map. Only then do the errors of its
@@ -66,6 +70,7 @@ impl Steps {
             seconds: now.now.seconds_since(before.now),
             now_from_before: now.now_from_then * before.now_from_then.inverse(),
             rotation_std: estimate.rotation_std() * std::f64::consts::SQRT_2,
+            covariance: estimate.covariance * 2.0,
             is_sure: 2 * estimate.inliers > body.corners,
             of_one_map: !before.rebased,
         })

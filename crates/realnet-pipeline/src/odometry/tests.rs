@@ -169,3 +169,32 @@ fn a_new_map_passes_no_rotation_over_but_its_lengths_are_not_compared() {
     steps.rebase();
     assert!(steps.next(&shown(5, 8, 1.0)).is_none());
 }
+
+#[test]
+fn a_turn_that_could_be_a_step_aside_is_not_taken_for_one() {
+    // All corners two metres ahead: turning left and stepping right cancel in the picture,
+    // so that such an error is likely, and the covariance says so.
+    let (speed, yaw_rate, seconds) = (0.6, 0.4, 1.0 / 30.0);
+    let place = |frame: u64| Pose2::IDENTITY.driven(speed, yaw_rate, frame as f64 * seconds);
+    let along = Vector6::new(2.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    let wrong = 0.02;
+    let seen = |covariance: Matrix6<f64>, frame: u64, error: f64| {
+        let mut motion = motion((at(0), place(0)), (at(frame), place(frame)), 1.0);
+        if let Ok(body) = &mut motion.background {
+            let moved = body.estimate.camera_from_world;
+            body.estimate.camera_from_world = Pose::exp(&(along * error)) * moved;
+            body.estimate.covariance = covariance;
+        }
+        motion
+    };
+    let turn = |covariance: Matrix6<f64>| {
+        let mut watch = Watch::new(FAST);
+        watch.seen(&seen(covariance, 1, 0.0));
+        watch.seen(&seen(covariance, 2, wrong)).unwrap()
+    };
+    let round = Matrix6::identity() * 1e-10;
+    let (_, believed) = turn(round);
+    assert!((believed - yaw_rate).abs() > 0.3, "{believed}: nothing tells of the error");
+    let (v, w) = turn(round + along * along.transpose() * 1e-4);
+    assert!((w - yaw_rate).abs() < 0.05 && (v - speed).abs() < 0.05, "{v} {w}");
+}

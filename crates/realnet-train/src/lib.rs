@@ -1,0 +1,23 @@
+//! Learning: YOLOv5 detectors and monocular depth networks, trained with burn.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`nets`] | YOLOv5 n, s, m, l, x and `vnl-lite`, in burn |
+//! | [`names`] | their weights by PyTorch's names, in and out |
+//! | [`loss`] | boxes, objectness and classes; classes of depth and virtual normals |
+//! | [`optim`] | SGD and AdamW with groups, schedules, clipping, moving average |
+//! | [`export`] | safetensors and ONNX files |
+//! | [`tasks`] | detection from YOLO data sets |
+//! | [`trainer`] | epochs, steps, validation, checkpoints that go on to the same result |
+//!
+//! A network in training and the same network at run time meet in the names of their
+//! weights: [`names::tensors`] gives what `realnet-nn` builds its ONNX graphs from, and takes
+//! what it reads from `.pt` and safetensors files.
+
+pub mod export;
+pub mod loss;
+pub mod names;
+pub mod nets;
+pub mod optim;
+pub mod tasks;
+pub mod trainer;

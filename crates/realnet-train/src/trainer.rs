@@ -1,0 +1,374 @@
+//! The loop: epochs, steps, validation, checkpoints.
+
+mod checkpoint;
+
+use crate::optim::{Ema, Optimizer, Schedule, clip_norm};
+use burn::module::Module;
+use burn::optim::{GradientsAccumulator, GradientsParams, ModuleOptimizer};
+use burn::tensor::{Device, Tensor};
+pub use checkpoint::CheckpointError;
+use serde::{Deserialize, Serialize};
+use std::error::Error;
+use std::ops::ControlFlow;
+use std::path::Path;
+use thiserror::Error;
+
+/// What is learned: a loss of batches, and figures that say how good a network is.
+pub trait Task {
+    /// The network.
+    type Model: Module;
+    /// Samples of one step, and what is wanted of them.
+    type Batch;
+    /// What can go wrong with data.
+    type Error: Error + Send + Sync + 'static;
+
+    /// The batches of an epoch, in an order that depends on `epoch` and the task alone.
+    ///
+    /// # Errors
+    /// When the data cannot be read at all.
+    fn batches(
+        &self,
+        epoch: usize,
+    ) -> Result<impl Iterator<Item = Result<Self::Batch, Self::Error>>, Self::Error>;
+
+    /// Steps in an epoch.
+    fn steps(&self) -> usize;
+
+    /// The loss of a batch, `[1]`, and its parts by the names of [`Task::PARTS`].
+    fn loss(
+        &self,
+        model: &Self::Model,
+        batch: Self::Batch,
+        device: &Device,
+    ) -> (Tensor<1>, Vec<f32>);
+
+    /// Names of the loss's parts.
+    const PARTS: &'static [&'static str];
+
+    /// Figures of a network on the validation set. `model` is as [`Module::valid`] gives it.
+    ///
+    /// # Errors
+    /// When the validation data cannot be read.
+    fn validate(&self, model: &Self::Model) -> Result<Figures, Self::Error>;
+}
+
+/// What a validation found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// By name, in the order of the table.
+    pub figures: Vec<(String, f64)>,
+    /// The one that counts: the more the better.
+    pub fitness: f64,
+}
+
+/// How it is learned.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainOptions {
+    /// Times that all samples are seen.
+    pub epochs: usize,
+    /// Batches whose gradients are added up to one step.
+    pub accumulate: usize,
+    /// How gradients become steps.
+    pub optimizer: Optimizer,
+    /// Decay of the weights of convolutions at a step.
+    pub weight_decay: f32,
+    /// First learning rate, after the warm-up.
+    pub lr: f64,
+    /// Share of it that is left at the end.
+    pub lr_last: f64,
+    /// The way between.
+    pub schedule: Schedule,
+    /// Epochs in which the learning rate rises from 0.
+    pub warmup_epochs: f64,
+    /// Largest norm of the gradients; infinite for any.
+    pub clip: f64,
+    /// Decay of the moving average, and after how many steps it has grown to 63 % of that.
+    pub ema: [f64; 2],
+    /// Epochs without a better network after which it ends.
+    pub patience: usize,
+    /// Where all randomness comes from.
+    pub seed: u64,
+}
+
+impl Default for TrainOptions {
+    fn default() -> Self {
+        Self {
+            epochs: 100,
+            accumulate: 1,
+            optimizer: Optimizer::Sgd { momentum: 0.937 },
+            weight_decay: 5e-4,
+            lr: 0.01,
+            lr_last: 0.01,
+            schedule: Schedule::Cosine,
+            warmup_epochs: 3.0,
+            clip: 10.0,
+            ema: [0.9999, 2000.0],
+            patience: 100,
+            seed: 0,
+        }
+    }
+}
+
+impl TrainOptions {
+    /// Learning rate at a share of an epoch, counted from the start.
+    #[must_use]
+    pub fn lr_at(&self, epochs: f64) -> f64 {
+        let rising = if self.warmup_epochs > 0.0 { epochs / self.warmup_epochs } else { 1.0 };
+        let done = epochs / self.epochs.max(1) as f64;
+        self.lr * self.schedule.factor(done, self.lr_last) * rising.min(1.0)
+    }
+}
+
+/// Why a training ended without a result.
+#[derive(Debug, Error)]
+pub enum TrainError {
+    /// The data.
+    #[error("in epoch {epoch}")]
+    Data {
+        /// When.
+        epoch: usize,
+        /// What.
+        #[source]
+        source: Box<dyn Error + Send + Sync>,
+    },
+    /// The loss is not a number: the learning rate may be too large.
+    #[error("the loss is {loss} in step {step} of epoch {epoch} (learning rate {lr:.3e})")]
+    Diverged {
+        /// When.
+        epoch: usize,
+        /// Step of the epoch.
+        step: usize,
+        /// What it is.
+        loss: f32,
+        /// The learning rate.
+        lr: f64,
+    },
+    /// An epoch without a batch.
+    #[error("epoch {epoch} has no batch")]
+    Empty {
+        /// Which.
+        epoch: usize,
+    },
+    /// A checkpoint.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+}
+
+/// After a step.
+#[derive(Clone, Debug)]
+pub struct StepReport<'a> {
+    /// Epoch, from 0.
+    pub epoch: usize,
+    /// Step in it, from 0.
+    pub step: usize,
+    /// Steps in it.
+    pub steps: usize,
+    /// The loss.
+    pub loss: f32,
+    /// Its parts.
+    pub parts: &'a [f32],
+    /// Learning rate.
+    pub lr: f64,
+    /// Norm of the gradients before clipping; `None` where they are still added up.
+    pub gradient: Option<f64>,
+}
+
+/// After an epoch.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochReport {
+    /// From 0.
+    pub epoch: usize,
+    /// Mean of the steps.
+    pub loss: f64,
+    /// Means of its parts.
+    pub parts: Vec<f64>,
+    /// Learning rate at the end.
+    pub lr: f64,
+    /// Of the moving average.
+    pub validation: Figures,
+    /// Whether it is the best so far.
+    pub best: bool,
+}
+
+/// Is told how it goes, and may end it.
+pub trait Observer<M: Module> {
+    /// After a step. Break ends the training; this epoch is lost.
+    fn step(&mut self, report: &StepReport<'_>) -> ControlFlow<()>;
+
+    /// After an epoch and its checkpoint. `model` is the moving average.
+    ///
+    /// # Errors
+    /// What keeps the training from going on.
+    fn epoch(&mut self, report: &EpochReport, model: &M) -> Result<ControlFlow<()>, TrainError>;
+}
+
+/// How a training ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// After all epochs.
+    Finished,
+    /// Nothing became better for long.
+    Patience,
+    /// By the observer.
+    Interrupted,
+}
+
+/// A training: everything that changes from step to step.
+pub struct Trainer<T: Task> {
+    task: T,
+    options: TrainOptions,
+    device: Device,
+    model: T::Model,
+    optimizer: ModuleOptimizer,
+    ema: Ema<T::Model>,
+    history: Vec<EpochReport>,
+}
+
+impl<T: Task> Trainer<T> {
+    /// Begins with `model`, which lives on `device`, a device with differentiation.
+    #[must_use]
+    pub fn new(task: T, model: T::Model, options: TrainOptions, device: Device) -> Self {
+        let [decay, ramp] = options.ema;
+        let ema = Ema::new(model.valid(), 0, decay, ramp);
+        let optimizer = options.optimizer.init(options.weight_decay);
+        Self { task, options, device, model, optimizer, ema, history: Vec::new() }
+    }
+
+    /// Goes on where the checkpoint `path` was written. `model` is one of the same shape.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] when the file is none, or one of another training.
+    pub fn resume(
+        task: T,
+        model: T::Model,
+        options: TrainOptions,
+        device: Device,
+        path: &Path,
+    ) -> Result<Self, CheckpointError> {
+        let mut trainer = Self::new(task, model, options, device);
+        trainer.load(path)?;
+        Ok(trainer)
+    }
+
+    /// The options.
+    #[must_use]
+    pub const fn options(&self) -> &TrainOptions {
+        &self.options
+    }
+
+    /// The task.
+    #[must_use]
+    pub const fn task(&self) -> &T {
+        &self.task
+    }
+
+    /// The epochs so far.
+    #[must_use]
+    pub fn history(&self) -> &[EpochReport] {
+        &self.history
+    }
+
+    /// The moving average: what is to be used.
+    #[must_use]
+    pub const fn average(&self) -> &T::Model {
+        self.ema.model()
+    }
+
+    /// The network in training.
+    #[must_use]
+    pub const fn model(&self) -> &T::Model {
+        &self.model
+    }
+
+    /// Trains until the end. After each epoch a checkpoint is written to `checkpoint`, whole
+    /// or not at all.
+    ///
+    /// # Errors
+    /// [`TrainError`]; the last checkpoint is still there.
+    pub fn run(
+        &mut self,
+        checkpoint: Option<&Path>,
+        observer: &mut impl Observer<T::Model>,
+    ) -> Result<Ended, TrainError> {
+        while self.history.len() < self.options.epochs {
+            if self.is_patience_over() {
+                return Ok(Ended::Patience);
+            }
+            let Some(report) = self.epoch(observer)? else {
+                return Ok(Ended::Interrupted);
+            };
+            self.history.push(report.clone());
+            if let Some(path) = checkpoint {
+                self.save(path)?;
+            }
+            if observer.epoch(&report, self.ema.model())?.is_break() {
+                return Ok(Ended::Interrupted);
+            }
+        }
+        Ok(Ended::Finished)
+    }
+
+    fn best(&self) -> Option<(usize, f64)> {
+        let best = |best: Option<(usize, f64)>, report: &EpochReport| match best {
+            Some((_, fitness)) if fitness >= report.validation.fitness => best,
+            _ => Some((report.epoch, report.validation.fitness)),
+        };
+        self.history.iter().fold(None, best)
+    }
+
+    fn is_patience_over(&self) -> bool {
+        self.best().is_some_and(|(epoch, _)| self.history.len() > epoch + self.options.patience)
+    }
+
+    fn epoch(
+        &mut self,
+        observer: &mut impl Observer<T::Model>,
+    ) -> Result<Option<EpochReport>, TrainError> {
+        let epoch = self.history.len();
+        let data = |source: T::Error| TrainError::Data { epoch, source: Box::new(source) };
+        let steps = self.task.steps();
+        let mut sums = vec![0.0; T::PARTS.len() + 1];
+        let mut seen = 0_usize;
+        let mut lr = self.options.lr_at(epoch as f64);
+        let mut gathered = GradientsAccumulator::new();
+        let mut waiting = 0;
+        for batch in self.task.batches(epoch).map_err(data)? {
+            let batch = batch.map_err(data)?;
+            let step = seen;
+            lr = self.options.lr_at(epoch as f64 + (step + 1) as f64 / steps.max(1) as f64);
+            let (loss, parts) = self.task.loss(&self.model, batch, &self.device);
+            let value: f32 = loss.clone().into_scalar();
+            if !value.is_finite() {
+                return Err(TrainError::Diverged { epoch, step, loss: value, lr });
+            }
+            let gradients = GradientsParams::from_grads(loss.backward(), &self.model);
+            gathered.accumulate(&self.model, gradients);
+            waiting += 1;
+            seen += 1;
+            let mut gradient = None;
+            if waiting == self.options.accumulate.max(1) || seen == steps {
+                let mut gradients = gathered.grads();
+                gradient = Some(clip_norm(&self.model, &mut gradients, self.options.clip));
+                self.model = self.optimizer.step(lr, self.model.clone(), gradients);
+                self.ema.update(&self.model.valid());
+                waiting = 0;
+            }
+            for (sum, part) in sums.iter_mut().zip([value].iter().chain(&parts)) {
+                *sum += f64::from(*part);
+            }
+            let report =
+                StepReport { epoch, step, steps, loss: value, parts: &parts, lr, gradient };
+            if observer.step(&report).is_break() {
+                return Ok(None);
+            }
+        }
+        if seen == 0 {
+            return Err(TrainError::Empty { epoch });
+        }
+        let validation = self.task.validate(self.ema.model()).map_err(data)?;
+        let mut means = sums.into_iter().map(|sum| sum / seen as f64);
+        let best = self.best().is_none_or(|(_, fitness)| validation.fitness > fitness);
+        let loss = means.next().unwrap_or_default();
+        Ok(Some(EpochReport { epoch, loss, parts: means.collect(), lr, validation, best }))
+    }
+}

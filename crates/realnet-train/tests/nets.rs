@@ -1,0 +1,148 @@
+//! The networks in training are those at run time.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use common::{close, weights};
+use realnet_core::{Frame, PixelFormat, Stamp};
+use realnet_nn::detector::{DetectorModel, DetectorOptions};
+use realnet_nn::engine::{EngineChoice, Runtime, RuntimeOptions};
+use realnet_nn::onnx::OnnxOptions;
+use realnet_nn::weights::Checkpoint;
+use realnet_train::export::{detector_checkpoint, detector_onnx, safetensors};
+use realnet_train::names::{NamesError, take, take_all, tensors};
+use realnet_train::nets::{Form, VnlLite, VnlLiteConfig, YoloV5, YoloV5Config, YoloV5Size};
+
+fn device() -> Device {
+    Device::flex()
+}
+
+fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f64> {
+    tensor.clone().into_data().try_to_vec::<f32>().unwrap().into_iter().map(f64::from).collect()
+}
+
+/// Published numbers of parameters, 80 classes.
+#[test]
+fn sizes_are_the_published_ones() {
+    for (size, millions) in [(YoloV5Size::N, 1.87), (YoloV5Size::S, 7.23)] {
+        let net = YoloV5::new(&YoloV5Config::new(size, 80, 640), &device());
+        let count = net.num_params() as f64 / 1e6;
+        assert!((count - millions).abs() < 0.02 * millions, "{size:?}: {count}");
+    }
+}
+
+#[test]
+fn the_authors_weights_fit_by_name() {
+    let Some(checkpoint) = weights("yolov5n.pt") else { return };
+    let config = YoloV5Config::new(YoloV5Size::N, 80, 640);
+    let net = take_all(YoloV5::new(&config, &device()), &checkpoint.tensors).unwrap();
+    // And out again.
+    let own = tensors(&net).unwrap();
+    for (name, tensor) in &own {
+        assert_eq!(tensor, &checkpoint.tensors[name], "{name}");
+    }
+    // For other classes all but the heads.
+    let config = YoloV5Config::new(YoloV5Size::N, 1, 640);
+    let (_, taken) = take(YoloV5::new(&config, &device()), &checkpoint.tensors).unwrap();
+    assert_eq!(taken.reshaped.len(), 6, "{:?}", taken.reshaped);
+    assert!(taken.missing.is_empty() && !taken.is_complete());
+    // Another size fits nowhere near.
+    let config = YoloV5Config::new(YoloV5Size::S, 80, 640);
+    let error = take_all(YoloV5::new(&config, &device()), &checkpoint.tensors).unwrap_err();
+    assert!(matches!(error, NamesError::Shape { .. } | NamesError::Missing { .. }), "{error}");
+}
+
+/// The raw heads of the network in training against the reference output of the whole
+/// network, which is these heads decoded.
+#[test]
+fn outputs_are_the_reference_implementations() {
+    let Some(checkpoint) = weights("yolov5n.pt") else { return };
+    let Some((width, height, pixels)) = common::picture("yolov5n/bus_320_letterbox.png") else {
+        return;
+    };
+    let Some(expected) = common::npy("yolov5n/bus_320_raw.npy") else { return };
+    let config = YoloV5Config::new(YoloV5Size::N, 80, 640);
+    let net = take_all(YoloV5::new(&config, &device()), &checkpoint.tensors).unwrap();
+    let planes: Vec<f32> =
+        (0..3).flat_map(|c| pixels.chunks_exact(3).map(move |p| f32::from(p[c]) / 255.0)).collect();
+    let image = Tensor::from_data(TensorData::new(planes, [1, 3, height, width]), &device());
+    let mut row = 0;
+    for (level, head) in net.forward(image).iter().enumerate() {
+        let [_, _, rows, columns] = head.dims();
+        let values = numbers(&head.clone().reshape([3, 85, rows * columns]).permute([0, 2, 1]));
+        let stride = [8.0, 16.0, 32.0][level];
+        for (index, cell) in values.chunks_exact(85).enumerate() {
+            let anchor = config.anchors[level][index / (rows * columns)].map(f64::from);
+            let at = index % (rows * columns);
+            let (x, y) = ((at % columns) as f64, (at / columns) as f64);
+            let mut out: Vec<f64> = cell.iter().map(|v| 1.0 / (1.0 + (-v).exp())).collect();
+            out[0] = (2.0 * out[0] - 0.5 + x) * stride;
+            out[1] = (2.0 * out[1] - 0.5 + y) * stride;
+            out[2] = (2.0 * out[2]).powi(2) * anchor[0];
+            out[3] = (2.0 * out[3]).powi(2) * anchor[1];
+            close("output", &out, &expected[row * 85..(row + 1) * 85], 1e-4, 1e-4);
+            row += 1;
+        }
+    }
+    assert_eq!(row, 6300);
+}
+
+/// Both forms become files that the run time reads, and give the same heads there.
+#[test]
+fn exported_networks_give_the_same() {
+    let names = ["car".to_owned(), "cone".to_owned()];
+    for form in [Form::V6, Form::V5] {
+        let config = YoloV5Config { form, ..YoloV5Config::new(YoloV5Size::N, 2, 96) };
+        let net = YoloV5::new(&config, &device());
+        let checkpoint = detector_checkpoint(&net, &names).unwrap();
+        let bytes = safetensors(&checkpoint).unwrap();
+        assert_eq!(Checkpoint::from_bytes(&bytes).unwrap(), checkpoint);
+        let options = OnnxOptions { width: 96, height: 96, half: false };
+        let file = detector_onnx(&net, &names, &options).unwrap();
+        let model = DetectorModel::from_vec("trained", file).unwrap();
+        assert_eq!(model.names(), names);
+
+        // The most certain box of a picture, by both.
+        let pixels: Vec<u8> = (0..96 * 96 * 3).map(|i| ((i * 31) % 251) as u8).collect();
+        let frame = Frame::new(Stamp::ZERO, 96, 96, PixelFormat::Rgb8, pixels.clone()).unwrap();
+        let runtime = RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() };
+        let options = DetectorOptions { confidence: 0.0, max_det: 1, ..Default::default() };
+        let runtime = Runtime::start(&runtime);
+        let mut detector = realnet_nn::detector::Detector::new(model, &runtime, options).unwrap();
+        let found = detector.detect(&frame).unwrap()[0];
+
+        let planes: Vec<f32> = (0..3)
+            .flat_map(|c| pixels.chunks_exact(3).map(move |p| f32::from(p[c]) / 255.0))
+            .collect();
+        let image = Tensor::from_data(TensorData::new(planes, [1, 3, 96, 96]), &device());
+        let sigmoid = |v: f64| 1.0 / (1.0 + (-v).exp());
+        let best = net
+            .forward(image)
+            .iter()
+            .flat_map(|head| {
+                let [_, _, rows, columns] = head.dims();
+                let cells =
+                    numbers(&head.clone().reshape([3, 7, rows * columns]).permute([0, 2, 1]));
+                let cells: Vec<f64> = cells
+                    .chunks_exact(7)
+                    .map(|cell| sigmoid(cell[4]) * sigmoid(cell[5]).max(sigmoid(cell[6])))
+                    .collect();
+                cells
+            })
+            .fold(0.0, f64::max);
+        let confidence = f64::from(found.confidence);
+        assert!((confidence / best - 1.0).abs() < 1e-4, "{form:?}: {confidence} and {best}");
+    }
+}
+
+#[test]
+fn depth_logits_have_the_size_they_say() {
+    let net = VnlLite::new(&VnlLiteConfig::default(), &device());
+    let logits = net.forward(Tensor::zeros([2, 3, 96, 128], &device()));
+    assert_eq!(logits.dims(), [2, 80, 24, 32]);
+    assert!(numbers(&logits).iter().all(|v| v.is_finite()));
+    let millions = net.num_params() as f64 / 1e6;
+    assert!((2.0..3.5).contains(&millions), "{millions}");
+}
