@@ -91,6 +91,8 @@ fn run(loaded: &Loaded, network_std: f64) -> (u128, Vec<Option<(f64, f64)>>) {
     options.network_error.std = network_std;
     // As the logs are drawn: 4 % a metre that stay.
     options.ground_error = SharedError { std: 0.04, time_s: 30.0 };
+    // Nor is any network or ground beyond that; the others are told so.
+    options.disagreement_deviations = f64::INFINITY;
     let mut filter = TargetFilter::new(options).unwrap();
     let mut ranges = Vec::with_capacity(loaded.frames.len());
     let mut next = loaded.arriving.iter().peekable();
