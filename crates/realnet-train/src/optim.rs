@@ -33,9 +33,7 @@ impl Optimizer {
     /// the parameters of batch normalisation do not decay.
     #[must_use]
     pub fn init(self, weight_decay: f32) -> ModuleOptimizer {
-        let Some(weights) = ParamGroup::from_regex(r"(^|\.)weight$").ok() else {
-            return SgdConfig::new().init();
-        };
+        let weights = ParamGroup::from_regex(r"(^|\.)weight$").ok();
         match self {
             Self::Sgd { momentum } => {
                 // The framework's dampening is not PyTorch's by default.
@@ -44,9 +42,13 @@ impl Optimizer {
                     .with_dampening(0.0)
                     .with_nesterov(true);
                 let base = SgdConfig::new().with_momentum(Some(momentum));
-                let decayed =
-                    base.clone().with_weight_decay(Some(WeightDecayConfig::new(weight_decay)));
-                base.init().with_group(weights, decayed.build(), None)
+                let decay = WeightDecayConfig::new(weight_decay);
+                let decayed = base.clone().with_weight_decay(Some(decay)).build();
+                let all = base.init();
+                match weights {
+                    Some(weights) => all.with_group(weights, decayed, None),
+                    None => all,
+                }
             }
             Self::AdamW { beta_1, beta_2 } => {
                 let base = AdamWConfig::new()
@@ -54,8 +56,12 @@ impl Optimizer {
                     .with_beta_2(beta_2)
                     .with_epsilon(1e-8)
                     .with_weight_decay(0.0);
-                let decayed = base.clone().with_weight_decay(weight_decay);
-                base.init().with_group(weights, decayed.build(), None)
+                let decayed = base.clone().with_weight_decay(weight_decay).build();
+                let all = base.init();
+                match weights {
+                    Some(weights) => all.with_group(weights, decayed, None),
+                    None => all,
+                }
             }
         }
     }
