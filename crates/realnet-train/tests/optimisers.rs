@@ -1,6 +1,12 @@
 //! Steps, averages and schedules against PyTorch's and the reference trainer's, see
 //! data/README.md.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 mod common;
 

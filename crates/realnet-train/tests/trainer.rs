@@ -1,5 +1,11 @@
 //! A small training: it learns, and goes on to the same result after a stop.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
