@@ -2,7 +2,7 @@
 
 use crate::ring::{KEPT, Ring, Stamped};
 use crate::step::BackgroundStep;
-use realnet_core::nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
+use realnet_core::nalgebra::{UnitQuaternion, Vector3, Vector6};
 use realnet_core::{Pose, Pose2, Stamp};
 
 /// Faster turns are no robot's, rad/s: one wild motion would turn the fixed frame for good.
@@ -103,13 +103,8 @@ impl OwnOdometry {
     /// corners all lie about as far away, a turn looks like a step aside; with this it does
     /// not, because the estimate's covariance knows which turn goes with which step.
     fn without_sliding(&self, twist: Vector6<f64>, step: &BackgroundStep) -> Vector6<f64> {
-        // The perturbation of the optical frame, in the base frame: v' = R v + t x R w.
-        let rotation = self.base_from_optical.rotation().to_rotation_matrix().into_inner();
-        let lever = self.base_from_optical.translation().cross_matrix() * rotation;
-        let mut adjoint = Matrix6::zeros();
-        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-        adjoint.fixed_view_mut::<3, 3>(0, 3).copy_from(&lever);
-        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        // The perturbation of the optical frame, in the base frame.
+        let adjoint = self.base_from_optical.adjoint();
         let covariance = adjoint * step.covariance * adjoint.transpose() * DEPTH_INFLATION;
         let together = covariance.column(1);
         let slip = SLIP_M_S * step.seconds;

@@ -22,12 +22,12 @@ const MAP_STD: f64 = 0.005;
 const KNOCK_RAD: f64 = 0.015;
 /// How far the bend of a depth map tilts the ground in it, radians.
 const GROUND_BEND_RAD: f64 = 0.008;
-/// The ground in a map is looked for within three of these of the pitch known so far,
-/// radians; and if it is not there, for a knock that went unseen, of the second.
-const GROUND_SEARCH_RAD: [f64; 2] = [0.02, 0.05];
 /// How far it tilts the direction of a way that is measured from it, radians: a few
 /// corners on patches that err differently, over a way of a hand's breadth.
 const WAY_BEND_RAD: f64 = 0.04;
+/// The ground in a map is looked for within three of these of the pitch known so far,
+/// radians; and if it is not there, for a knock that went unseen, of the second.
+const GROUND_SEARCH_RAD: [f64; 2] = [0.02, 0.05];
 /// A box must not reach within this of the picture's edge for its height to be known.
 const BORDER_PX: f32 = 2.0;
 
