@@ -10,7 +10,8 @@
 mod common;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::optim::GradientsParams;
+use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use common::{close, weights};
 use realnet_core::{Frame, PixelFormat, Stamp};
 use realnet_nn::detector::{DetectorModel, DetectorOptions};
@@ -18,8 +19,10 @@ use realnet_nn::engine::{EngineChoice, Runtime, RuntimeOptions};
 use realnet_nn::onnx::OnnxOptions;
 use realnet_nn::weights::Checkpoint;
 use realnet_train::export::{detector_checkpoint, detector_onnx, safetensors};
+use realnet_train::loss::{DetectionLoss, DetectionLossOptions, Target};
 use realnet_train::names::{NamesError, take, take_all, tensors};
 use realnet_train::nets::{Form, VnlLite, VnlLiteConfig, YoloV5, YoloV5Config, YoloV5Size};
+use realnet_train::optim::Optimizer;
 
 fn device() -> Device {
     Device::flex()
@@ -140,6 +143,28 @@ fn exported_networks_give_the_same() {
             .fold(0.0, f64::max);
         let confidence = f64::from(found.confidence);
         assert!((confidence / best - 1.0).abs() < 1e-4, "{form:?}: {confidence} and {best}");
+    }
+}
+
+/// What is set by hand at the start is learned like all else.
+#[test]
+fn every_parameter_is_learned_step_after_step() {
+    let device = device().autodiff();
+    let config = YoloV5Config::new(YoloV5Size::N, 2, 64);
+    let mut net = YoloV5::new(&config, &device);
+    let loss = DetectionLoss::new(&config, DetectionLossOptions::default());
+    let mut optimizer = Optimizer::Sgd { momentum: 0.9 }.init(0.0);
+    let target = |class, side| Target { image: 0, class, bbox: [0.4, 0.6, side, side] };
+    let targets = [target(0, 0.2), target(1, 0.5), target(0, 0.9)];
+    for _ in 0..2 {
+        let before = tensors(&net.valid()).unwrap();
+        let image = Tensor::random([1, 3, 64, 64], Distribution::Uniform(0.0, 1.0), &device);
+        let total = loss.of(net.forward(image), &targets).total();
+        let gradients = GradientsParams::from_grads(total.backward(), &net);
+        net = optimizer.step(0.1, net, gradients);
+        for (name, tensor) in tensors(&net.valid()).unwrap() {
+            assert_ne!(tensor.data(), before[&name].data(), "{name}");
+        }
     }
 }
 

@@ -352,9 +352,9 @@ fn expect_little(bias: Param<Tensor<1>>, outputs: usize, stride: usize) -> Param
             _ => class,
         })
         .collect();
-    bias.map(|bias| {
-        let device = bias.device();
-        let count = offsets.len();
-        bias + Tensor::<1>::from_data(TensorData::new(offsets, [count]), &device)
-    })
+    let bias = bias.val();
+    let offsets = TensorData::new(offsets, [ANCHORS * outputs]);
+    let offsets = Tensor::<1>::from_data(offsets, &bias.device());
+    // A parameter of its own: a mapped one would be the result of a sum, not what is learned.
+    Param::from_tensor((bias + offsets).detach())
 }
