@@ -1,8 +1,10 @@
 //! Trained networks as files that are read everywhere.
 
 use crate::names::{NamesError, Tensors, tensors};
-use crate::nets::YoloV5;
+use crate::nets::block::Normalisation;
 use crate::nets::yolov5::STRIDES;
+use crate::nets::{VnlLite, YoloV5};
+use realnet_nn::depth::{CodingError, DepthCoding, DepthImportError, DepthWeights};
 use realnet_nn::onnx::{ExportError, OnnxOptions};
 use realnet_nn::weights::{self, Checkpoint};
 use realnet_nn::yolov5::ImportError;
@@ -16,9 +18,15 @@ pub enum ExportNetworkError {
     /// Its tensors.
     #[error(transparent)]
     Names(#[from] NamesError),
-    /// As a network at run time.
+    /// As a detector at run time.
     #[error(transparent)]
     Import(#[from] ImportError),
+    /// As a depth network at run time.
+    #[error(transparent)]
+    Depth(#[from] DepthImportError),
+    /// A coding of depth that cannot be.
+    #[error(transparent)]
+    Coding(#[from] CodingError),
     /// As ONNX.
     #[error(transparent)]
     Onnx(#[from] ExportError),
@@ -61,7 +69,7 @@ pub fn detector_checkpoint(
         tensors,
         class_names: Some(class_names.to_vec()),
         strides: Some(STRIDES.map(|stride| stride as f64).to_vec()),
-        bn_eps: Some(1e-3),
+        bn_eps: Some(Normalisation::YOLOV5.epsilon),
         ..Checkpoint::default()
     })
 }
@@ -79,8 +87,39 @@ pub fn detector_onnx(
     Ok(realnet_nn::yolov5::YoloV5::from_checkpoint(&checkpoint)?.to_onnx(options)?)
 }
 
-/// A checkpoint as a safetensors file: tensors as 32-bit floats; names of classes, strides
-/// and the epsilon of batch normalisation as metadata.
+/// The weights of a depth network with its coding of depth, as `realnet-nn` reads them.
+/// `model` is as [`valid`](burn::module::Module::valid) gives it.
+///
+/// # Errors
+/// [`ExportNetworkError`] when the weights cannot be read, or the coding cannot be.
+pub fn depth_checkpoint(
+    model: &VnlLite,
+    coding: &DepthCoding,
+) -> Result<Checkpoint, ExportNetworkError> {
+    coding.check()?;
+    Ok(Checkpoint {
+        tensors: tensors(model)?,
+        bn_eps: Some(Normalisation::PYTORCH.epsilon),
+        depth: Some(*coding),
+        ..Checkpoint::default()
+    })
+}
+
+/// A depth network as an ONNX file, complete in one piece.
+///
+/// # Errors
+/// [`ExportNetworkError`] when it cannot be written.
+pub fn depth_onnx(
+    model: &VnlLite,
+    coding: &DepthCoding,
+    options: &OnnxOptions,
+) -> Result<Vec<u8>, ExportNetworkError> {
+    let checkpoint = depth_checkpoint(model, coding)?;
+    Ok(DepthWeights::from_checkpoint(&checkpoint)?.to_onnx(options)?)
+}
+
+/// A checkpoint as a safetensors file: tensors as 32-bit floats; names of classes, strides,
+/// the epsilon of batch normalisation and the coding of depth as metadata.
 ///
 /// # Errors
 /// [`ExportNetworkError::Safetensors`].
@@ -113,6 +152,9 @@ pub fn safetensors(checkpoint: &Checkpoint) -> Result<Vec<u8>, ExportNetworkErro
     }
     if let Some(epsilon) = checkpoint.bn_eps {
         put("bn_eps", epsilon.into());
+    }
+    if let Some(coding) = &checkpoint.depth {
+        metadata.insert(DepthCoding::KEY.to_owned(), coding.to_json());
     }
     safetensors::serialize(views, Some(metadata)).map_err(|error| wrong(&error))
 }

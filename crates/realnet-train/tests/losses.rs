@@ -172,6 +172,7 @@ fn depth_losses_are_the_released_codes() {
         size: [48, 64],
         depths: file.numbers("gt").iter().map(|d| *d as f32).collect(),
         rays: rays.collect(),
+        metres_per_unit: vec![1.0],
     };
     let options = DepthLossOptions {
         coding,

@@ -138,6 +138,21 @@ pub struct DepthTruth {
     pub depths: Vec<f32>,
     /// Rays of the pixels of all pictures.
     pub rays: Vec<[f32; 2]>,
+    /// What depths of each picture are to be multiplied by to be metres of its own camera;
+    /// 1 where there is none. It scales the points of a picture together, which turns no
+    /// normal, but decides which triangles are large enough to have one.
+    pub metres_per_unit: Vec<f32>,
+}
+
+impl DepthTruth {
+    /// The point of a place in metres of its camera; `None` where the depth is unknown.
+    fn point(&self, place: usize) -> Option<[f64; 3]> {
+        let pixels = (self.size[0] * self.size[1]).max(1);
+        let scale = self.metres_per_unit.get(place / pixels).map_or(1.0, |x| f64::from(*x));
+        let z = f64::from(*self.depths.get(place)?) * scale;
+        let [x, y] = self.rays.get(place)?.map(f64::from);
+        (z > 1e-4 && z.is_finite()).then_some([x * z, y * z, z])
+    }
 }
 
 /// Loss of networks that give logits of bins.
@@ -231,16 +246,13 @@ impl DepthLoss {
         triplets: &[[usize; 3]],
     ) -> Tensor<1> {
         let device = depth.device();
-        let known = |place: usize| -> Option<[f64; 3]> {
-            let z = f64::from(*truth.depths.get(place)?);
-            let [x, y] = truth.rays.get(place)?.map(f64::from);
-            (z > 1e-4 && z.is_finite()).then_some([x * z, y * z, z])
-        };
         let rules = &self.options.normal_rules;
         let mut chosen: Vec<[usize; 3]> = Vec::new();
         let mut normals: Vec<f32> = Vec::new();
         for triplet in triplets {
-            let [Some(a), Some(b), Some(c)] = triplet.map(known) else { continue };
+            let [Some(a), Some(b), Some(c)] = triplet.map(|place| truth.point(place)) else {
+                continue;
+            };
             if rules.allow(&[a, b, c]) {
                 let normal = cross(&minus(&b, &a), &minus(&c, &a));
                 let length = norm(&normal);
