@@ -41,7 +41,7 @@ pub use realnet_fusion as fusion;
 pub use realnet_io::{annotate, atomic, datasets, picture, results, source, video};
 pub use realnet_nn::detector::{DetectError, Detector, DetectorModel, DetectorOptions, Stage};
 pub use realnet_nn::engine::{EngineChoice, Provider, Runtime, RuntimeOptions};
-pub use realnet_nn::{depth, onnx, vnl, weights, yolov5};
+pub use realnet_nn::{depth, onnx, vnl, vnl_lite, weights, yolov5};
 pub use realnet_pipeline as pipeline;
 pub use realnet_range::{carry, cues, motion};
 pub use realnet_sim as sim;

@@ -89,6 +89,34 @@ impl DepthCoding {
         }
     }
 
+    /// Key of [`DepthCoding::to_json`] in the metadata of ONNX and safetensors files.
+    pub const KEY: &'static str = "realnet_depth";
+
+    /// As an object: `{"min":0.01,"max":1.7,"scale":10.0,"focal":519.0,"mean":[r,g,b],"std":[r,g,b]}`.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        let Self { min, max, scale, focal, mean, std } = *self;
+        let coding = json!({
+            "min": min, "max": max, "scale": scale, "focal": focal,
+            "mean": shortest(mean), "std": shortest(std),
+        });
+        coding.to_string()
+    }
+
+    /// Reads what [`DepthCoding::to_json`] writes.
+    ///
+    /// # Errors
+    /// [`DepthMetadataError`] when it is no such object, or a number is out of its range.
+    pub fn from_json(text: &str) -> Result<Self, DepthMetadataError> {
+        let coding = serde_json::from_str(text).ok().as_ref().and_then(read_coding);
+        let coding = coding.ok_or_else(|| {
+            let expected = "an object of min, max, scale, focal, mean and std";
+            DepthMetadataError::entry(Self::KEY, expected, text)
+        })?;
+        coding.check()?;
+        Ok(coding)
+    }
+
     /// The natural logarithm of the middle of each bin, in units of `scale`.
     #[must_use]
     pub fn log_borders(&self, bins: usize) -> Vec<f64> {
@@ -149,6 +177,12 @@ pub enum DepthMetadataError {
     },
 }
 
+impl DepthMetadataError {
+    fn entry(key: &'static str, expected: &'static str, found: &str) -> Self {
+        Self::Entry { key, expected, found: found.chars().take(80).collect() }
+    }
+}
+
 /// The metadata of a depth network's ONNX file, for other networks to be written
 /// with:
 ///
@@ -180,17 +214,9 @@ impl DepthMetadata {
         let get = |key: &'static str| {
             metadata.get(key).map(String::as_str).ok_or(DepthMetadataError::Missing { key })
         };
-        let Ok(text) = get("realnet_depth") else { return Ok(None) };
-        let entry = |key, expected, found: &str| DepthMetadataError::Entry {
-            key,
-            expected,
-            found: found.chars().take(80).collect(),
-        };
-        let coding = serde_json::from_str(text).ok().as_ref().and_then(read_coding);
-        let coding: DepthCoding = coding.ok_or_else(|| {
-            entry("realnet_depth", "an object of min, max, scale, focal, mean and std", text)
-        })?;
-        coding.check()?;
+        let entry = DepthMetadataError::entry;
+        let Ok(text) = get(DepthCoding::KEY) else { return Ok(None) };
+        let coding = DepthCoding::from_json(text)?;
         let names = get("realnet_logits")?;
         // A file that was cut to one of them has no others.
         let logits = names.split(',').map(str::trim).filter(|name| model.has_tensor(name));
@@ -211,13 +237,8 @@ impl DepthMetadata {
     /// The entries to write into a file.
     #[must_use]
     pub fn entries(&self) -> Vec<(&'static str, String)> {
-        let DepthCoding { min, max, scale, focal, mean, std } = self.coding;
-        let coding = json!({
-            "min": min, "max": max, "scale": scale, "focal": focal,
-            "mean": shortest(mean), "std": shortest(std),
-        });
         vec![
-            ("realnet_depth", coding.to_string()),
+            (DepthCoding::KEY, self.coding.to_json()),
             ("realnet_logits", self.logits.join(",")),
             ("realnet_align", self.alignment.name().to_owned()),
             ("stride", self.stride.to_string()),

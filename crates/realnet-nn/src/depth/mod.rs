@@ -22,13 +22,16 @@
 //! Depths of the bars are not part of the map.
 
 mod coding;
+pub(crate) mod export;
 mod model;
 mod resample;
 mod soft_sum;
+mod weights;
 
 pub use coding::{Alignment, CodingError, DepthCoding, DepthMetadata, DepthMetadataError};
 pub use model::{DepthModel, DepthModelError, Detail};
 pub use soft_sum::SoftSum;
+pub use weights::{DepthImportError, DepthWeights};
 
 use crate::{
     detector::Stage,
@@ -56,7 +59,7 @@ pub enum DepthSize {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DepthOptions {
     /// Input size of the network, (width, height) in pixels; `None` takes the
-    /// file's own, or 256x256 for weights.
+    /// file's own, or for weights [`DepthWeights::default_size`].
     pub size: Option<(u32, u32)>,
     /// Which logits of the network.
     pub detail: Detail,

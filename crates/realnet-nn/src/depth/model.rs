@@ -1,15 +1,14 @@
 //! Model files: weights or ONNX, told apart by their bytes.
 
-use super::{DepthMetadata, DepthMetadataError};
+use super::{DepthImportError, DepthMetadata, DepthMetadataError, DepthWeights};
 use crate::{
     onnx::{Dim, ExportError, OnnxError, OnnxModel, OnnxOptions, check_size},
-    vnl::{Vnl, VnlError},
     weights::{Checkpoint, WeightsError},
 };
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// Input size for weights, (width, height).
+/// Input size for ONNX files that leave it open, (width, height).
 const DEFAULT_SIZE: (u32, u32) = (256, 256);
 
 /// Why a file is not a depth network.
@@ -37,7 +36,7 @@ pub enum DepthModelError {
         /// What was read.
         name: String,
         /// What is wrong.
-        reason: VnlError,
+        reason: DepthImportError,
     },
     /// Not an ONNX file that can be used.
     #[error("{name}: {reason}")]
@@ -76,12 +75,13 @@ pub enum DepthModelError {
 /// Which logits are asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Detail {
-    /// The coarsest in the file, the fastest. For [`Vnl`] one at every second
-    /// pixel, close to what the released network says there.
+    /// The coarsest in the file, the fastest. For [`Vnl`](crate::vnl::Vnl) one at every
+    /// second pixel, close to what the released network says there.
     #[default]
     Fast,
-    /// The finest in the file. For [`Vnl`] one at every pixel, what the released
-    /// network says.
+    /// The finest in the file. For [`Vnl`](crate::vnl::Vnl) one at every pixel, what the
+    /// released network says; [`VnlLite`](crate::vnl_lite::VnlLite) has only one, at every
+    /// fourth pixel.
     Full,
 }
 
@@ -94,7 +94,7 @@ pub struct DepthModel {
 
 #[derive(Clone, Debug)]
 enum Source {
-    Weights(Box<Vnl>),
+    Weights(Box<DepthWeights>),
     Onnx { model: Box<OnnxModel>, metadata: DepthMetadata, size: (u32, u32) },
 }
 
@@ -118,9 +118,9 @@ impl DepthModel {
         let owned = || name.to_owned();
         let not_weights = match Checkpoint::from_bytes(&bytes) {
             Ok(checkpoint) => {
-                let vnl = Vnl::from_checkpoint(&checkpoint)
+                let network = DepthWeights::from_checkpoint(&checkpoint)
                     .map_err(|reason| DepthModelError::Import { name: owned(), reason })?;
-                return Ok(Self::from_vnl(name, vnl));
+                return Ok(Self::from_weights(name, network));
             }
             Err(reason @ WeightsError::UnknownFormat { .. }) => reason,
             Err(reason) => return Err(DepthModelError::Weights { name: owned(), reason }),
@@ -136,8 +136,8 @@ impl DepthModel {
 
     /// A network in memory; `name` is for messages.
     #[must_use]
-    pub fn from_vnl(name: &str, vnl: Vnl) -> Self {
-        Self { name: name.to_owned(), source: Source::Weights(Box::new(vnl)) }
+    pub fn from_weights(name: &str, network: impl Into<DepthWeights>) -> Self {
+        Self { name: name.to_owned(), source: Source::Weights(Box::new(network.into())) }
     }
 
     fn from_onnx(name: &str, model: OnnxModel) -> Result<Self, DepthModelError> {
@@ -160,8 +160,8 @@ impl DepthModel {
     }
 
     /// The graph for an input of (width, height), cut to the logits asked for, and
-    /// what its file says. Without a size it is the file's own, or 256x256 for
-    /// weights.
+    /// what its file says. Without a size it is the file's own, or for weights
+    /// [`DepthWeights::default_size`].
     ///
     /// # Errors
     /// [`DepthModelError::Size`] when the network cannot have the size.
@@ -174,11 +174,11 @@ impl DepthModel {
         let onnx = |reason| DepthModelError::Onnx { name: name(), reason };
         let bad_size = |reason| DepthModelError::Size { name: name(), reason };
         let (mut model, metadata) = match &self.source {
-            Source::Weights(vnl) => {
-                let (width, height) = size.unwrap_or(DEFAULT_SIZE);
+            Source::Weights(network) => {
+                let (width, height) = size.unwrap_or(network.default_size());
                 let options =
                     OnnxOptions { width: width as usize, height: height as usize, half: false };
-                let bytes = vnl.to_onnx(&options).map_err(bad_size)?;
+                let bytes = network.to_onnx(&options).map_err(bad_size)?;
                 let model = OnnxModel::from_vec(bytes).map_err(onnx)?;
                 let metadata = DepthMetadata::from_onnx(&model)
                     .map_err(|reason| DepthModelError::Metadata { name: name(), reason })?

@@ -4,6 +4,7 @@ use super::proto::{
     AttributeProto, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto,
     TensorProto, attribute_type, data_type,
 };
+use crate::depth::Alignment;
 use crate::layer::{Activation, Conv};
 use half::f16;
 use prost::Message;
@@ -193,6 +194,33 @@ impl GraphWriter {
         let output = format!("{path}.cat");
         self.node("Concat", inputs, &[&output], vec![int("axis", axis)]);
         output
+    }
+
+    /// Adds two tensors and cuts off what is negative; returns the name of the output.
+    pub(crate) fn add_relu(&mut self, path: &str, a: &str, b: &str) -> String {
+        let (sum, output) = (format!("{path}.sum"), format!("{path}.relu"));
+        self.node("Add", &[a, b], &[&sum], vec![]);
+        self.node("Relu", &[&sum], &[&output], vec![]);
+        output
+    }
+
+    /// `factor` times as wide and high, between the pixels linearly.
+    pub(crate) fn resize(
+        &mut self,
+        input: &str,
+        factor: usize,
+        alignment: Alignment,
+        output: &str,
+    ) {
+        let scales = format!("resize{factor}.scales");
+        let factor = factor as f32;
+        self.shared_float_constant(&scales, &[4], &[1.0, 1.0, factor, factor]);
+        let mode = match alignment {
+            Alignment::Corners => "align_corners",
+            Alignment::Centres => "half_pixel",
+        };
+        let attributes = vec![text("coordinate_transformation_mode", mode), text("mode", "linear")];
+        self.node("Resize", &[input, "", &scales], &[output], attributes);
     }
 
     // Nodes and constants.

@@ -5,12 +5,9 @@ use super::{
     graph::{Fusion, Inverted, Transfer},
 };
 use crate::{
-    depth::{Alignment, DepthMetadata},
+    depth::{Alignment, DepthMetadata, export},
     layer::Conv,
-    onnx::{
-        Dim, ElementType, ExportError, OnnxOptions, check_size, value_info,
-        writer::{GraphWriter, int, ints, text},
-    },
+    onnx::{ExportError, OnnxOptions, check_size, writer::GraphWriter},
 };
 
 /// Logits at every pixel.
@@ -53,36 +50,23 @@ impl Vnl {
     /// [`ExportError`] if the size is no multiple of 8, or a weight does not fit
     /// 16 bits.
     pub fn to_onnx(&self, options: &OnnxOptions) -> Result<Vec<u8>, ExportError> {
-        let OnnxOptions { width, height, half } = *options;
-        check_size(width, height, STRIDE)?;
-        let mut writer = GraphWriter::new("vnl", half);
+        check_size(options.width, options.height, STRIDE)?;
+        let mut writer = GraphWriter::new("vnl", options.half);
         let features = self.write_features(&mut writer)?;
         self.write_prediction(&mut writer, &features)?;
-        let float = |name: &str, dims: [usize; 4]| {
-            value_info(name, ElementType::Float32, &dims.map(Dim::Fixed))
-        };
-        let graph = &mut writer.graph;
-        graph.input = vec![float("image", [1, 3, height, width])];
-        graph.output = vec![float("depth", [1, 1, height, width])];
-        graph.value_info = vec![
-            float(LOGITS, [1, self.bins(), height, width]),
-            float(LOGITS_HALF, [1, self.bins(), height / 2, width / 2]),
-        ];
         let metadata = DepthMetadata {
             coding: self.coding,
             logits: vec![LOGITS.to_owned(), LOGITS_HALF.to_owned()],
             alignment: Alignment::Corners,
             stride: STRIDE,
         };
-        let mut entries = metadata.entries();
-        entries.push(("imgsz", format!("{:?}", [height, width])));
-        Ok(writer.finish(entries))
+        Ok(writer.finish_depth(options, &metadata, self.bins(), &[1, 2]))
     }
 
     /// Encoder and decoder; returns the last features, at half size.
     fn write_features(&self, writer: &mut GraphWriter) -> Result<String, ExportError> {
         let graph = &self.graph;
-        let mut x = writer.conv("encoder.res1", "image", &graph.stem)?;
+        let mut x = writer.conv("encoder.res1", export::INPUT, &graph.stem)?;
         let mut stages = Vec::new();
         for (stage, blocks) in graph.stages.iter().enumerate() {
             for (block, inverted) in blocks.iter().enumerate() {
@@ -113,12 +97,7 @@ impl Vnl {
         writer.transfer(path, &doubled, &graph.last)
     }
 
-    /// From the last features to `depth`: doubling, logits, and with the weights p of
-    /// the bins after the softmax, depth = scale · 10^(Σ pᵢ·borderᵢ).
-    ///
-    /// It is written as exp(Σ eᵢ·ln(10)·borderᵢ / Σ eᵢ + ln(scale)) with
-    /// eᵢ = exp(logitᵢ − the largest), both sums by one 1x1 convolution. The operator
-    /// Softmax over the channels takes up to as long as all the rest.
+    /// From the last features to logits and `depth`.
     fn write_prediction(
         &self,
         writer: &mut GraphWriter,
@@ -129,25 +108,7 @@ impl Vnl {
         writer.conv_to(PREDICT, &doubled, predict, LOGITS)?;
         let near = Conv { pad: 1, dilation: 1, weight: Vec::new(), bias: Vec::new(), ..*predict };
         writer.conv_again(PREDICT, features, &near, LOGITS_HALF);
-
-        let bins = self.bins();
-        let borders = self.coding.log_borders(bins);
-        let borders = borders.into_iter().map(|border| border as f32);
-        let rows: Vec<f32> = borders.chain(std::iter::repeat_n(1.0, bins)).collect();
-        writer.float_constant("sums.weight", &[2, bins, 1, 1], &rows);
-        writer.float_constant("log_scale", &[1], &[self.coding.scale.ln() as f32]);
-        writer.int_constant("sums.split", &[1, 1]);
-        let across = || vec![ints("axes", &[1]), int("keepdims", 1)];
-        writer.node("ReduceMax", &[LOGITS], &["largest"], across());
-        writer.node("Sub", &[LOGITS, "largest"], &["below"], vec![]);
-        writer.node("Exp", &["below"], &["shares"], vec![]);
-        let kernel = vec![ints("kernel_shape", &[1, 1])];
-        writer.node("Conv", &["shares", "sums.weight"], &["sums"], kernel);
-        let parts = ["weighted", "total"];
-        writer.node("Split", &["sums", "sums.split"], &parts, vec![int("axis", 1)]);
-        writer.node("Div", &parts, &["log_units"], vec![]);
-        writer.node("Add", &["log_units", "log_scale"], &["log_depth"], vec![]);
-        writer.node("Exp", &["log_depth"], &["depth"], vec![]);
+        writer.depth(LOGITS, self.bins(), &self.coding, export::OUTPUT);
         Ok(())
     }
 }
@@ -162,11 +123,8 @@ impl GraphWriter {
 
     /// Twice the width and height, corners on corners.
     fn double(&mut self, path: &str, input: &str) -> String {
-        let (output, scales) = (format!("{path}.double"), "double.scales");
-        self.shared_float_constant(scales, &[4], &[1.0, 1.0, 2.0, 2.0]);
-        let attributes =
-            vec![text("coordinate_transformation_mode", "align_corners"), text("mode", "linear")];
-        self.node("Resize", &[input, "", scales], &[&output], attributes);
+        let output = format!("{path}.double");
+        self.resize(input, 2, Alignment::Corners, &output);
         output
     }
 
@@ -199,10 +157,7 @@ impl GraphWriter {
         let enter = self.conv(&format!("{path}.enter"), input, &block.enter)?;
         let middle = self.conv(&format!("{path}.middle"), &enter, &block.middle)?;
         let last = self.conv(&format!("{path}.last"), &middle, &block.last)?;
-        let (sum, output) = (format!("{path}.sum"), format!("{path}.relu"));
-        self.node("Add", &[&last, &enter], &[&sum], vec![]);
-        self.node("Relu", &[&sum], &[&output], vec![]);
-        Ok(output)
+        Ok(self.add_relu(path, &last, &enter))
     }
 
     /// `means`: those of the top.

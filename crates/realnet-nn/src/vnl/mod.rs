@@ -20,9 +20,9 @@
 //! uses an epsilon of 1e-5, but 0.5 after the decoder's first convolution, where
 //! the released code passes its momentum in the place of the epsilon.
 //!
-//! Weights tell neither the range of the bins nor the camera of the training set:
-//! they are those of the authors' configuration for this encoder (NYU Depth V2)
-//! unless [`Vnl::with_coding`] says otherwise.
+//! The authors' files tell neither the range of the bins nor the camera of the training
+//! set: they are those of the authors' configuration for this encoder (NYU Depth V2)
+//! unless the checkpoint ([`Checkpoint::depth`]) or [`Vnl::with_coding`] says otherwise.
 //!
 //! # Rewritten without changing the function
 //!
@@ -36,7 +36,7 @@ mod graph;
 
 use crate::{
     depth::{CodingError, DepthCoding},
-    weights::Checkpoint,
+    weights::{Checkpoint, TensorError},
 };
 use graph::Graph;
 use thiserror::Error;
@@ -65,38 +65,12 @@ pub enum VnlError {
         /// The tensor that tells.
         name: String,
     },
-    /// A tensor is missing.
-    #[error("tensor '{name}' of the VNL depth network is missing")]
-    MissingTensor {
-        /// Its name.
-        name: String,
-    },
-    /// Tensors that no layer uses.
-    #[error("{count} tensors belong to no layer of the VNL depth network, first '{name}'")]
-    SurplusTensors {
-        /// Name of the first.
-        name: String,
-        /// How many.
-        count: usize,
-    },
-    /// A tensor of a wrong shape.
-    #[error("tensor '{name}' has shape {found:?}, expected {expected}")]
-    Shape {
-        /// Its name.
-        name: String,
-        /// What fits.
-        expected: String,
-        /// What was found.
-        found: Vec<usize>,
-    },
-    /// A tensor with NaN or infinite elements, or a negative variance.
-    #[error("tensor '{name}' holds {what}")]
-    Value {
-        /// Its name.
-        name: String,
-        /// What it holds.
-        what: &'static str,
-    },
+    /// A tensor that does not fit.
+    #[error(transparent)]
+    Tensor(#[from] TensorError),
+    /// A coding of depth that cannot be.
+    #[error(transparent)]
+    Coding(#[from] CodingError),
 }
 
 /// A virtual-normal depth network with its weights, ready to be written as ONNX.
@@ -107,13 +81,17 @@ pub struct Vnl {
 }
 
 impl Vnl {
-    /// Rebuilds the network from its tensors, with the coding of depth that the
-    /// authors trained this encoder with ([`DepthCoding::default`]).
+    /// Rebuilds the network from its tensors, with the coding of depth that the file
+    /// tells, or else the one that the authors trained this encoder with
+    /// ([`DepthCoding::default`]).
     ///
     /// # Errors
-    /// [`VnlError`] naming the tensor that does not fit.
+    /// [`VnlError`] naming the tensor or the number that does not fit.
     pub fn from_checkpoint(checkpoint: &Checkpoint) -> Result<Self, VnlError> {
-        Ok(Self { graph: build::build(checkpoint)?, coding: DepthCoding::default() })
+        let graph = build::build(checkpoint)?;
+        let coding = checkpoint.depth.unwrap_or_default();
+        coding.check()?;
+        Ok(Self { graph, coding })
     }
 
     /// Whether the tensors are named like those of a virtual-normal network, of

@@ -24,7 +24,10 @@ use std::path::Path;
 
 use thiserror::Error;
 
+pub use crate::reader::TensorError;
 pub use pickle::PickleError;
+
+use crate::depth::{DepthCoding, DepthMetadataError};
 
 /// Largest file read, in bytes. The largest YOLOv5 has 0.6 GB in float32.
 const MAX_FILE: u64 = 4 << 30;
@@ -87,6 +90,9 @@ pub enum WeightsError {
         /// What is wrong.
         reason: String,
     },
+    /// Metadata that cannot be read.
+    #[error("safetensors file: {0}")]
+    Metadata(#[from] DepthMetadataError),
     /// A tensor that does not fit its storage, or of an unknown kind.
     #[error("tensor '{name}': {reason}")]
     Tensor {
@@ -167,6 +173,9 @@ pub struct Checkpoint {
     pub strides: Option<Vec<f64>>,
     /// Epsilon of all batch normalisations, if the file tells it in one number.
     pub bn_eps: Option<f64>,
+    /// How the numbers of a depth network are metres, if the file tells. Only safetensors
+    /// files do, in the metadata [`DepthCoding::KEY`].
+    pub depth: Option<DepthCoding>,
 }
 
 impl Checkpoint {
@@ -211,6 +220,12 @@ impl Checkpoint {
             "unknown first bytes"
         };
         Err(WeightsError::UnknownFormat { size: bytes.len(), reason: reason.to_owned() })
+    }
+
+    /// The name of the first tensor between quotes, for messages.
+    pub(crate) fn first_name(&self) -> String {
+        let name = self.tensors.keys().next();
+        name.map_or_else(|| "there are none".to_owned(), |name| format!("'{name}'"))
     }
 }
 

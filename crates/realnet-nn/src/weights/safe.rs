@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::storage::Dtype;
 use super::{Checkpoint, Tensor, WeightsError, normalise_name};
+use crate::depth::DepthCoding;
 
 /// Whether the bytes start like a safetensors file: the length of the header,
 /// then its opening brace.
@@ -51,6 +52,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Checkpoint, WeightsError> {
         strides: json("stride")
             .and_then(|v| v.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>()),
         bn_eps: json("bn_eps").as_ref().and_then(Value::as_f64),
+        depth: metadata
+            .get(DepthCoding::KEY)
+            .map(|text| DepthCoding::from_json(text))
+            .transpose()?,
     })
 }
 

@@ -7,7 +7,7 @@ use super::{
 use anyhow::{Context, Result};
 use clap::Args;
 use realnet::{
-    vnl::Vnl,
+    depth::DepthWeights,
     weights::Checkpoint,
     yolov5::{OnnxOptions, YoloV5},
 };
@@ -16,12 +16,12 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 pub(crate) struct ConvertArgs {
-    /// YOLOv5 or VNL weights: .pt (whole module or state dict) or .safetensors.
+    /// YOLOv5, VNL or vnl-lite weights: .pt (whole module or state dict) or .safetensors.
     weights: PathBuf,
     /// The ONNX file to write [default: beside the weights].
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Input size in pixels: N or WIDTHxHEIGHT [default: 640 for YOLOv5, 256 for VNL].
+    /// Input size in pixels: N or WIDTHxHEIGHT [default: 640 for YOLOv5, 256 for VNL, 256x192 for vnl-lite].
     #[arg(long, value_name = "N|WxH", value_parser = parse_size)]
     imgsz: Option<(u32, u32)>,
     /// Store the weights in 16 bits: half the file, computed in 32 bits all the same.
@@ -40,12 +40,13 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<Outcome> {
         let (width, height) = args.imgsz.unwrap_or(default);
         OnnxOptions { width: width as usize, height: height as usize, half: args.half }
     };
-    let (onnx, OnnxOptions { width, height, .. }, what) = if Vnl::recognises(&checkpoint) {
-        let network = Vnl::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;
-        let options = options((256, 256));
-        let millions = network.parameters() as f64 / 1e6;
-        let what =
-            format!("VNL depth of {millions:.1} million parameters, {} bins", network.bins());
+    let (onnx, OnnxOptions { width, height, .. }, what) = if DepthWeights::recognises(&checkpoint) {
+        let network =
+            DepthWeights::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;
+        let options = options(network.default_size());
+        let (millions, bins) = (network.parameters() as f64 / 1e6, network.bins());
+        let architecture = network.architecture();
+        let what = format!("{architecture} depth of {millions:.1} million parameters, {bins} bins");
         (network.to_onnx(&options).or_bad_input()?, options, what)
     } else {
         let network = YoloV5::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;

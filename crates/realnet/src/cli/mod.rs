@@ -38,7 +38,7 @@ enum Command {
     Track(Box<track::TrackArgs>),
     /// Write the frames of a video as a YOLO data set, with a box carried through it.
     Frames(Box<frames::FramesArgs>),
-    /// Write YOLOv5 or VNL weights as a self-contained ONNX file.
+    /// Write YOLOv5, VNL or vnl-lite weights as a self-contained ONNX file.
     Convert(convert::ConvertArgs),
     /// Measure a network against labelled data.
     #[command(subcommand)]

@@ -37,7 +37,7 @@ pub(crate) struct DepthArgs {
     /// Depth units a metre of the data [default: by the format: 1000, 5000 or 256].
     #[arg(long, value_name = "UNITS", value_parser = parse_positive)]
     depth_scale: Option<f64>,
-    /// The network: VNL weights (.pt, .safetensors) or a depth ONNX file by RealNet.
+    /// The network: VNL or vnl-lite weights (.pt, .safetensors) or a depth ONNX file by RealNet.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Depth maps of another program instead: a PNG named like each picture.
