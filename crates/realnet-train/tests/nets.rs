@@ -12,15 +12,19 @@ mod common;
 use burn::module::Module;
 use burn::optim::GradientsParams;
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
-use common::{close, weights};
+use common::close;
 use realnet_core::{Frame, PixelFormat, Stamp};
+use realnet_nn::depth::{DepthCoding, DepthModel, Detail};
 use realnet_nn::detector::{DetectorModel, DetectorOptions};
 use realnet_nn::engine::{EngineChoice, Runtime, RuntimeOptions};
-use realnet_nn::onnx::OnnxOptions;
-use realnet_nn::weights::Checkpoint;
-use realnet_train::export::{detector_checkpoint, detector_onnx, safetensors};
+use realnet_nn::onnx::{OnnxModel, OnnxOptions};
+use realnet_nn::weights::{self, Checkpoint};
+use realnet_train::export::{
+    ExportNetworkError, depth_checkpoint, depth_onnx, detector_checkpoint, detector_onnx,
+    safetensors,
+};
 use realnet_train::loss::{DetectionLoss, DetectionLossOptions, Target};
-use realnet_train::names::{NamesError, take, take_all, tensors};
+use realnet_train::names::{NamesError, Tensors, take, take_all, tensors};
 use realnet_train::nets::{Form, VnlLite, VnlLiteConfig, YoloV5, YoloV5Config, YoloV5Size};
 use realnet_train::optim::Optimizer;
 
@@ -44,7 +48,7 @@ fn sizes_are_the_published_ones() {
 
 #[test]
 fn the_authors_weights_fit_by_name() {
-    let Some(checkpoint) = weights("yolov5n.pt") else { return };
+    let Some(checkpoint) = common::weights("yolov5n.pt") else { return };
     let config = YoloV5Config::new(YoloV5Size::N, 80, 640);
     let net = take_all(YoloV5::new(&config, &device()), &checkpoint.tensors).unwrap();
     // And out again.
@@ -67,7 +71,7 @@ fn the_authors_weights_fit_by_name() {
 /// network, which is these heads decoded.
 #[test]
 fn outputs_are_the_reference_implementations() {
-    let Some(checkpoint) = weights("yolov5n.pt") else { return };
+    let Some(checkpoint) = common::weights("yolov5n.pt") else { return };
     let Some((width, height, pixels)) = common::picture("yolov5n/bus_320_letterbox.png") else {
         return;
     };
@@ -176,4 +180,107 @@ fn depth_logits_have_the_size_they_say() {
     assert!(numbers(&logits).iter().all(|v| v.is_finite()));
     let millions = net.num_params() as f64 / 1e6;
     assert!((2.0..3.5).contains(&millions), "{millions}");
+}
+
+/// The same network with statistics and scales as training leaves them.
+fn worn<M: Module>(net: M) -> M {
+    let worn: Tensors = tensors(&net).unwrap();
+    let worn = worn.into_iter().map(|(name, tensor)| {
+        let seed = name.bytes().fold(7u32, |h, b| h.wrapping_mul(31) ^ u32::from(b));
+        let unit = |i: usize| f64::from(seed.wrapping_add(i as u32 * 7919) % 1000) / 1000.0;
+        let [least, width] = match name.rsplit('.').next().unwrap() {
+            "running_var" => [0.4, 1.2],
+            "running_mean" => [-0.3, 0.6],
+            "bias" => [-0.2, 0.5],
+            "weight" if tensor.shape().len() == 1 => [1.0, 1.0],
+            _ => return (name, tensor),
+        };
+        let data = (0..tensor.data().len()).map(|i| (least + width * unit(i)) as f32);
+        let tensor = weights::Tensor::new(tensor.shape().to_vec(), data.collect()).unwrap();
+        (name, tensor)
+    });
+    take_all(net, &worn.collect()).unwrap()
+}
+
+/// The only output of a file for an input of noise, on the embedded engine.
+fn run(model: OnnxModel, input: &[f32]) -> Vec<f64> {
+    let runtime = RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() };
+    let mut engine = Runtime::start(&runtime).load(model).unwrap();
+    engine.input().copy_from_slice(input);
+    let mut found = Vec::new();
+    engine
+        .run(&mut |outputs| found.extend(outputs[0].data.iter().copied().map(f64::from)))
+        .unwrap();
+    found
+}
+
+fn noise(width: usize, height: usize) -> (Vec<f32>, Tensor<4>) {
+    let mut state = 5u32;
+    let pixels = (0..3 * width * height).map(|_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 22) as f32 - 2.0
+    });
+    let pixels: Vec<f32> = pixels.collect();
+    let data = TensorData::new(pixels.clone(), [1, 3, height, width]);
+    (pixels, Tensor::from_data(data, &device()))
+}
+
+const CODING: DepthCoding = DepthCoding {
+    min: 0.05,
+    max: 1.21,
+    scale: 10.0,
+    focal: 207.55,
+    mean: [0.485, 0.456, 0.406],
+    std: [0.229, 0.224, 0.225],
+};
+
+/// Logits of the network in training and of its files, at the size it is made for and at
+/// another one; for the usual layout and one of other numbers everywhere.
+#[test]
+fn exported_depth_networks_give_the_same() {
+    let other =
+        VnlLiteConfig { widths: [8, 8, 16, 12, 20], blocks: [1, 3, 1, 2], decoder: 8, bins: 33 };
+    for (config, sizes) in
+        [(VnlLiteConfig::default(), vec![(256, 192)]), (other, vec![(256, 192), (160, 96)])]
+    {
+        let net = worn(VnlLite::new(&config, &device()));
+        let checkpoint = depth_checkpoint(&net, &CODING).unwrap();
+        assert_eq!(checkpoint.depth, Some(CODING));
+        let bytes = safetensors(&checkpoint).unwrap();
+        assert_eq!(Checkpoint::from_bytes(&bytes).unwrap(), checkpoint);
+        for (width, height) in sizes {
+            let (pixels, image) = noise(width, height);
+            let expected = numbers(&net.forward(image));
+            assert_eq!(expected.len(), config.bins * width * height / 16);
+            let largest = expected.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+            assert!(largest > 0.5, "{largest}");
+            let options = OnnxOptions { width, height, half: false };
+            let file = depth_onnx(&net, &CODING, &options).unwrap();
+            let size = Some((width as u32, height as u32));
+            for (name, bytes) in [("safetensors", bytes.clone()), ("onnx", file.clone())] {
+                let model = DepthModel::from_vec(name, bytes).unwrap();
+                let (network, metadata) = model.network(size, Detail::Fast).unwrap();
+                assert_eq!(metadata.coding, CODING);
+                close(name, &run(network, &pixels), &expected, 1e-4, 1e-4);
+            }
+            // Weights in 16 bits have 11 bits of precision.
+            let half = depth_onnx(&net, &CODING, &OnnxOptions { half: true, ..options }).unwrap();
+            assert!(half.len() < file.len() * 7 / 10, "{} of {}", half.len(), file.len());
+            let half = DepthModel::from_vec("half", half).unwrap();
+            let (network, _) = half.network(None, Detail::Fast).unwrap();
+            close("half", &run(network, &pixels), &expected, 0.01 * largest, 0.0);
+        }
+    }
+}
+
+#[test]
+fn codings_that_cannot_be_are_refused() {
+    let config = VnlLiteConfig { widths: [4; 5], blocks: [1; 4], decoder: 4, bins: 5 };
+    let net = VnlLite::new(&config, &device());
+    let coding = DepthCoding { min: 2.0, ..CODING };
+    let error = depth_checkpoint(&net, &coding).unwrap_err();
+    assert!(matches!(error, ExportNetworkError::Coding(_)), "{error}");
+    let options = OnnxOptions { width: 100, height: 96, half: false };
+    let error = depth_onnx(&net, &CODING, &options).unwrap_err();
+    assert!(matches!(error, ExportNetworkError::Onnx(_)), "{error}");
 }

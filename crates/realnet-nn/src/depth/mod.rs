@@ -413,19 +413,24 @@ mod tests {
         let [near, far] = ends();
         // Wide and high frames, with bars above and below or on the sides.
         for (width, height) in [(80, 40), (40, 80), (64, 64)] {
-            for step in [1, 2] {
-                let mut net = net((32, 32), step, DepthSize::Frame);
+            for (step, input) in [(1, (32, 32)), (2, (32, 32)), (4, (64, 32)), (4, (96, 160))] {
+                let mut net = net(input, step, DepthSize::Frame);
                 let map = net.depth(&two_halves(width, height), None).unwrap();
                 assert_eq!((map.width(), map.height()), (width, height));
                 // The edge is two samples wide at most.
-                let blur = step as u32 * 2 * width.max(height) / 32;
+                let scale = (f64::from(width) / f64::from(input.0))
+                    .max(f64::from(height) / f64::from(input.1));
+                let blur = (step as f64 * 2.0 * scale) as u32;
                 for y in 0..height {
                     for x in 0..width {
                         let depth = map.at(x, y).unwrap();
                         let expected = if x < width / 2 { near } else { far };
                         let clear = x.abs_diff(width / 2) > blur;
                         let same = (depth / expected - 1.0).abs() < 1e-4;
-                        assert!(same || !clear, "{width}x{height} /{step} at {x} {y}: {depth}");
+                        assert!(
+                            same || !clear,
+                            "{width}x{height} {input:?}/{step} at {x} {y}: {depth}"
+                        );
                     }
                 }
             }
