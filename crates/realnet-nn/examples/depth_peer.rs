@@ -13,7 +13,7 @@
 //! |---|---|---|
 //! | `depth` | input | depth by the file as it is written |
 //! | `full` | input | logits of every pixel by the engine, depth by us |
-//! | `half` | input | logits of every second pixel by the engine, depth by us |
+//! | `half` | input | the network's fast logits (VNL: of every second pixel) by the engine, depth by us |
 //! | `frame` | 1280x720 RGB | the whole of `DepthNet` with its default options |
 //!
 //! With `--write` it writes the graph of the form and ends.
@@ -21,10 +21,9 @@
 
 use realnet_core::{Frame, Stamp};
 use realnet_nn::{
-    depth::{DepthModel, DepthNet, DepthOptions, Detail, SoftSum},
+    depth::{DepthModel, DepthNet, DepthOptions, DepthWeights, Detail, SoftSum},
     engine::{EngineChoice, Runtime, RuntimeOptions},
     onnx::{OnnxModel, OnnxOptions},
-    vnl::Vnl,
     weights::Checkpoint,
 };
 use std::{error::Error, io::BufRead, path::Path, time::Instant};
@@ -87,9 +86,9 @@ fn graph(
     size: (u32, u32),
 ) -> Result<(OnnxModel, Option<SoftSum>), Box<dyn Error>> {
     if form == "depth" {
-        let vnl = Vnl::from_checkpoint(&Checkpoint::read(path)?)?;
+        let network = DepthWeights::from_checkpoint(&Checkpoint::read(path)?)?;
         let (width, height) = (size.0 as usize, size.1 as usize);
-        let file = vnl.to_onnx(&OnnxOptions { width, height, half: false })?;
+        let file = network.to_onnx(&OnnxOptions { width, height, half: false })?;
         return Ok((OnnxModel::from_vec(file)?, None));
     }
     let detail = if form == "full" { Detail::Full } else { Detail::Fast };
