@@ -9,7 +9,6 @@ use crate::nets::yolov5::ANCHORS;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
-use realnet_data::DetectionSet;
 
 /// Anchors by scale: width and height in pixels of the network's input.
 pub type Anchors = [[[f32; 2]; ANCHORS]; 3];
@@ -29,20 +28,20 @@ impl AnchorFit {
     /// Of anchors for boxes, both `[width, height]`, when sides may differ by less than a
     /// factor of `anchor_t`. All 0 without boxes.
     #[must_use]
-    pub fn new(boxes: &[[f64; 2]], anchors: &[[f64; 2]], anchor_t: f64) -> Self {
+    pub fn new(boxes: &[[f32; 2]], anchors: &[[f32; 2]], anchor_t: f32) -> Self {
         let least = 1.0 / anchor_t;
         let mut sum = Self::default();
         for size in boxes {
-            let mut best = 0.0_f64;
+            let mut best = 0.0_f32;
             for anchor in anchors {
-                let worse = |ratio: f64| ratio.min(ratio.recip());
+                let worse = |ratio: f32| ratio.min(ratio.recip());
                 let m = worse(size[0] / anchor[0]).min(worse(size[1] / anchor[1]));
                 best = best.max(m);
                 sum.above += f64::from(u8::from(m > least));
             }
             if best > least {
                 sum.recall += 1.0;
-                sum.fitness += best;
+                sum.fitness += f64::from(best);
             }
         }
         let count = boxes.len().max(1) as f64;
@@ -54,7 +53,7 @@ impl AnchorFit {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnchorSearch {
     /// Factor by which sides may differ.
-    pub anchor_t: f64,
+    pub anchor_t: f32,
     /// Random changes that are tried after the k-means.
     pub generations: usize,
     /// Where all randomness comes from.
@@ -71,32 +70,17 @@ impl Default for AnchorSearch {
 /// Recall above which anchors stay as they are.
 pub const ENOUGH_RECALL: f64 = 0.98;
 
-/// Width and height, in pixels of the network's input, of all boxes of a set, when pictures
-/// fill the input with their longer side.
-#[must_use]
-pub fn box_sizes(set: &DetectionSet) -> Vec<[f64; 2]> {
-    let side = f64::from(set.size());
-    let mut sizes = Vec::new();
-    for image in set.images() {
-        let (width, height) = (f64::from(image.width), f64::from(image.height));
-        let scale = side / width.max(height).max(1.0);
-        sizes.extend(image.targets.iter().map(|target| {
-            [f64::from(target.w) * width * scale, f64::from(target.h) * height * scale]
-        }));
-    }
-    sizes
-}
-
-/// Anchors for boxes whose sizes are `boxes`: those given where they fit, else better ones;
+/// Anchors for boxes whose sizes are `boxes`
+/// ([`object_sizes`](realnet_data::DetectionSet::object_sizes)): those given where they fit, else better ones;
 /// and how they fit.
 #[must_use]
 pub fn fitting(
     anchors: &Anchors,
-    boxes: &[[f64; 2]],
+    boxes: &[[f32; 2]],
     search: &AnchorSearch,
 ) -> (Anchors, AnchorFit) {
-    let flat: Vec<[f64; 2]> = anchors.iter().flatten().map(|a| a.map(f64::from)).collect();
-    let own = AnchorFit::new(boxes, &flat, search.anchor_t);
+    let flat = anchors.as_flattened();
+    let own = AnchorFit::new(boxes, flat, search.anchor_t);
     if own.recall > ENOUGH_RECALL {
         return (*anchors, own);
     }
@@ -107,7 +91,7 @@ pub fn fitting(
     }
     let mut scales = *anchors;
     for (slot, size) in scales.iter_mut().flatten().zip(found) {
-        *slot = size.map(|side| side as f32);
+        *slot = size;
     }
     (scales, fit)
 }
@@ -118,26 +102,26 @@ impl AnchorSearch {
     /// kept where the fitness grows. Boxes of less than 2 pixels on both
     /// sides are left out. None where there are fewer boxes than `count`.
     #[must_use]
-    pub fn run(&self, boxes: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
-        let large = |size: &&[f64; 2]| size.iter().any(|side| *side >= 2.0);
-        let boxes: Vec<[f64; 2]> = boxes.iter().filter(large).copied().collect();
+    pub fn run(&self, boxes: &[[f32; 2]], count: usize) -> Vec<[f32; 2]> {
+        let large = |size: &&[f32; 2]| size.iter().any(|side| *side >= 2.0);
+        let boxes: Vec<[f32; 2]> = boxes.iter().filter(large).copied().collect();
         if boxes.len() < count || count == 0 {
             return Vec::new();
         }
         let mut dice = Pcg64Mcg::seed_from_u64(self.seed);
         // What counts are ratios, so near means near in logarithms.
-        let logarithms: Vec<[f64; 2]> =
-            boxes.iter().map(|size| size.map(|side| side.max(f64::MIN_POSITIVE).ln())).collect();
+        let logarithms: Vec<[f32; 2]> =
+            boxes.iter().map(|size| size.map(|side| side.max(f32::MIN_POSITIVE).ln())).collect();
         let means = k_means(&logarithms, count, &mut dice);
-        let mut best: Vec<[f64; 2]> =
+        let mut best: Vec<[f32; 2]> =
             means.into_iter().map(|mean| mean.map(|side| side.exp().max(2.0))).collect();
-        let fitness = |anchors: &[[f64; 2]]| AnchorFit::new(&boxes, anchors, self.anchor_t).fitness;
+        let fitness = |anchors: &[[f32; 2]]| AnchorFit::new(&boxes, anchors, self.anchor_t).fitness;
         let mut most = fitness(&best);
         for _ in 0..self.generations {
-            let strength: f64 = dice.random();
+            let strength: f32 = dice.random();
             let mut changed = best.clone();
             for side in changed.iter_mut().flatten() {
-                let step: f64 = StandardNormal.sample(&mut dice);
+                let step: f32 = StandardNormal.sample(&mut dice);
                 if dice.random::<f64>() < 0.9 {
                     *side = (*side * (1.0 + strength * 0.1 * step).clamp(0.3, 3.0)).max(2.0);
                 }
@@ -152,22 +136,22 @@ impl AnchorSearch {
     }
 }
 
-fn squared(a: &[f64; 2], b: &[f64; 2]) -> f64 {
+fn squared(a: &[f32; 2], b: &[f32; 2]) -> f32 {
     (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
 }
 
 /// Means of `count` groups of points.
-fn k_means(points: &[[f64; 2]], count: usize, dice: &mut Pcg64Mcg) -> Vec<[f64; 2]> {
+fn k_means(points: &[[f32; 2]], count: usize, dice: &mut Pcg64Mcg) -> Vec<[f32; 2]> {
     let first = points.get(dice.random_range(0..points.len().max(1)));
-    let mut means: Vec<[f64; 2]> = first.copied().into_iter().collect();
-    let mut distances = vec![f64::INFINITY; points.len()];
+    let mut means: Vec<[f32; 2]> = first.copied().into_iter().collect();
+    let mut distances = vec![f32::INFINITY; points.len()];
     while means.len() < count {
         let Some(last) = means.last().copied() else { break };
         for (distance, point) in distances.iter_mut().zip(points) {
             *distance = distance.min(squared(point, &last));
         }
         // A point is drawn with a chance that grows with its squared distance.
-        let mut left = dice.random::<f64>() * distances.iter().sum::<f64>();
+        let mut left = dice.random::<f32>() * distances.iter().sum::<f32>();
         let drawn = distances.iter().position(|distance| {
             left -= distance;
             left <= 0.0 && *distance > 0.0
@@ -176,9 +160,9 @@ fn k_means(points: &[[f64; 2]], count: usize, dice: &mut Pcg64Mcg) -> Vec<[f64; 
         means.extend(points.get(drawn.unwrap_or(0)));
     }
     for _ in 0..300 {
-        let mut sums = vec![[0.0_f64; 3]; means.len()];
+        let mut sums = vec![[0.0_f32; 3]; means.len()];
         for point in points {
-            let near = |a: &(usize, &[f64; 2]), b: &(usize, &[f64; 2])| {
+            let near = |a: &(usize, &[f32; 2]), b: &(usize, &[f32; 2])| {
                 squared(point, a.1).total_cmp(&squared(point, b.1))
             };
             let group = means.iter().enumerate().min_by(near).map_or(0, |(group, _)| group);

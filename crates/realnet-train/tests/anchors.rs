@@ -4,13 +4,11 @@
 mod common;
 
 use common::File;
-use realnet_core::{Frame, PixelFormat, Stamp};
-use realnet_data::{DetectionSet, Target};
-use realnet_train::anchors::{AnchorFit, AnchorSearch, Anchors, box_sizes, fitting};
+use realnet_train::anchors::{AnchorFit, AnchorSearch, fitting};
 use realnet_train::nets::{YoloV5Config, YoloV5Size};
 
-fn pairs(numbers: &[f64]) -> Vec<[f64; 2]> {
-    numbers.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect()
+fn pairs(numbers: &[f64]) -> Vec<[f32; 2]> {
+    numbers.chunks_exact(2).map(|pair| [pair[0] as f32, pair[1] as f32]).collect()
 }
 
 #[test]
@@ -57,10 +55,7 @@ fn anchors_stay_where_they_fit() {
     let given = YoloV5Config::new(YoloV5Size::N, 1, 640).anchors;
     let (found, fit) = fitting(&given, &boxes, &AnchorSearch::default());
     assert_ne!(found, given);
-    let flat = |anchors: &Anchors| -> Vec<[f64; 2]> {
-        anchors.iter().flatten().map(|a| a.map(f64::from)).collect()
-    };
-    assert!(fit.fitness > AnchorFit::new(&boxes, &flat(&given), 4.0).fitness);
+    assert!(fit.fitness > AnchorFit::new(&boxes, given.as_flattened(), 4.0).fitness);
     // Found ones fit, so they stay.
     assert!(fit.recall > 0.98, "{fit:?}");
     let (again, _) = fitting(&found, &boxes, &AnchorSearch::default());
@@ -71,23 +66,4 @@ fn anchors_stay_where_they_fit() {
     // Boxes of one size.
     let (one, fit) = fitting(&given, &[[300.0, 11.0]; 20], &AnchorSearch::default());
     assert!(fit.recall == 1.0 && one.iter().flatten().all(|a| a[0] > 1.0), "{one:?} {fit:?}");
-}
-
-/// Of a wide picture and a high one.
-#[test]
-fn sizes_are_pixels_of_the_input() {
-    let frame = |width: u32, height: u32| {
-        let bytes = vec![0; (width * height * 3) as usize];
-        Frame::new(Stamp::ZERO, width, height, PixelFormat::Rgb8, bytes).unwrap()
-    };
-    let target = |w, h| Target { class_id: 0, cx: 0.5, cy: 0.5, w, h };
-    let pictures = vec![
-        (frame(200, 100), vec![target(0.5, 0.5)]),
-        (frame(50, 100), vec![target(1.0, 0.25), target(0.2, 0.1)]),
-    ];
-    let set = DetectionSet::from_memory(vec!["thing".to_owned()], pictures, 64).unwrap();
-    let wanted = [[32.0, 16.0], [32.0, 16.0], [6.4, 6.4]];
-    for (found, wanted) in box_sizes(&set).iter().zip(wanted) {
-        assert!((0..2).all(|i| (found[i] - wanted[i]).abs() < 1e-5), "{found:?}, not {wanted:?}");
-    }
 }

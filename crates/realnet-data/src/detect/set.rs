@@ -188,8 +188,22 @@ impl DetectionSet {
         })
     }
 
-    /// The picture of an index, its longer side as long as the network's input.
-    pub(crate) fn frame(&self, index: usize) -> Result<Arc<Frame>, SampleError> {
+    /// The same pictures with one class, `name`, for everything that is labelled: what a
+    /// follower needs that does not care which of several vehicles it follows.
+    #[must_use]
+    pub fn with_single_class(mut self, name: &str) -> Self {
+        self.names = vec![name.to_owned()];
+        let targets = self.images.iter_mut().flat_map(|image| &mut image.targets);
+        targets.for_each(|target| target.class_id = 0);
+        self
+    }
+
+    /// The picture of an index, RGB, its longer side as long as the network's input.
+    ///
+    /// # Errors
+    /// [`SampleError`] for an index beyond the last one, and for a file that has changed
+    /// since it was checked.
+    pub fn frame(&self, index: usize) -> Result<Arc<Frame>, SampleError> {
         let path = self.images.get(index).map(|image| image.path.clone()).unwrap_or_default();
         let Some(&key) = self.keys.get(index) else {
             let reason = format!("the set has {} pictures", self.images.len());
@@ -342,4 +356,25 @@ fn clean(
         kept.push(Target::from_pixels(target.class_id, &inside, 1.0, 1.0));
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realnet_core::Stamp;
+
+    #[test]
+    fn one_class_for_everything() {
+        let frame = Frame::rgb8(Stamp::ZERO, 40, 20, vec![9; 40 * 20 * 3]).unwrap();
+        let target = |class_id, cx| Target { class_id, cx, cy: 0.5, w: 0.2, h: 0.4 };
+        let pictures = vec![(frame, vec![target(0, 0.2), target(2, 0.7)])];
+        let names = ["car", "truck", "robot"].map(str::to_owned).to_vec();
+        let set = DetectionSet::from_memory(names, pictures, 32).unwrap();
+        let set = set.with_single_class("vehicle");
+        assert_eq!(set.names(), ["vehicle"]);
+        assert_eq!(set.images()[0].targets, [target(0, 0.2), target(0, 0.7)]);
+        let frame = set.frame(0).unwrap();
+        assert_eq!((frame.width(), frame.height()), (32, 16));
+        assert!(set.frame(1).is_err());
+    }
 }

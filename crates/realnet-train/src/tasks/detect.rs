@@ -6,7 +6,9 @@ use crate::nets::YoloV5;
 use crate::trainer::{Figures, Task};
 use burn::tensor::{Device, Tensor, TensorData};
 use realnet_core::Detection;
-use realnet_data::{DataError, DetectionBatch, DetectionSamples, DetectionSet, Loader};
+use realnet_data::{
+    DataError, DetectionBatch, DetectionSamples, DetectionSet, Loader, SampleError,
+};
 use realnet_eval::{CocoOptions, EvalError, GroundTruth, Prediction, evaluate};
 use realnet_io::picture::{self, PictureError};
 use realnet_nn::detector::{DetectError, Detector, DetectorModel, DetectorOptions, ModelError};
@@ -33,6 +35,9 @@ pub enum DetectionTaskError {
     /// A picture of the validation.
     #[error(transparent)]
     Picture(#[from] PictureError),
+    /// One that was given in memory.
+    #[error(transparent)]
+    Sample(#[from] SampleError),
     /// The figures.
     #[error(transparent)]
     Eval(#[from] EvalError),
@@ -129,12 +134,17 @@ impl Task for DetectionTask {
             DetectorOptions { confidence: 0.001, iou: 0.6, max_det: 300, ..Default::default() };
         let mut detector = Detector::new(network, &self.runtime, options)?;
         let (mut truth, mut found) = (Vec::new(), Vec::new());
-        for (image_id, image) in (0..).zip(self.validation.images()) {
-            let (width, height) = (image.width as f32, image.height as f32);
+        for (image_id, (index, image)) in (0..).zip(self.validation.images().iter().enumerate()) {
+            // Pictures given in memory are there in the size of the network alone.
+            let frame = if image.path.as_os_str().is_empty() {
+                self.validation.frame(index).map(Arc::unwrap_or_clone)?
+            } else {
+                picture::read(&image.path)?
+            };
+            let (width, height) = (frame.width() as f32, frame.height() as f32);
             truth.extend(image.targets.iter().map(|target| {
                 GroundTruth::new(image_id, target.class_id, target.to_pixels(width, height))
             }));
-            let frame = picture::read(&image.path)?;
             found.extend(detector.detect(&frame)?.iter().map(|detection| {
                 let Detection { class_id, confidence, bbox, .. } = *detection;
                 Prediction { image_id, category: class_id, bbox, confidence }
