@@ -1,9 +1,11 @@
-//! Pictures of the curves and of the confusion matrix, drawn into memory.
+//! Pictures of the curves, of the confusion matrix and of a training, drawn into memory.
 
 mod curves;
+mod history;
 mod matrix;
 
 pub use curves::{f1_curve, pr_curve, precision_curve, recall_curve};
+pub use history::{Panel, Series, history_plot};
 pub use matrix::confusion_plot;
 
 use plotters::prelude::*;

@@ -33,7 +33,7 @@ const HUES: [RGBColor; 10] = [
     RGBColor(110, 120, 130),
 ];
 
-fn hue(position: usize) -> RGBColor {
+pub(super) fn hue(position: usize) -> RGBColor {
     let base = HUES.get(position % HUES.len()).copied().unwrap_or(INK);
     if position < HUES.len() {
         return base;

@@ -17,6 +17,7 @@ mod progress;
 mod sim;
 mod ticks;
 mod track;
+mod train;
 mod val;
 
 use clap::{Parser, Subcommand};
@@ -40,6 +41,8 @@ enum Command {
     Frames(Box<frames::FramesArgs>),
     /// Write YOLOv5, VNL or vnl-lite weights as a self-contained ONNX file.
     Convert(convert::ConvertArgs),
+    /// Train a detector or a depth network on your own data.
+    Train(train::TrainArgs),
     /// Measure a network against labelled data.
     #[command(subcommand)]
     Val(val::ValCommand),
@@ -61,6 +64,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Track(args) => track::run(&args),
         Command::Frames(args) => frames::run(&args),
         Command::Convert(args) => convert::run(&args),
+        Command::Train(args) => train::run(&args),
         Command::Val(command) => val::run(&command),
         Command::Eval(command) => eval::run(&command),
         Command::Sim(args) => sim::run(&args),

@@ -1,0 +1,334 @@
+//! `realnet train detect`.
+
+use super::{
+    augment,
+    console::Console,
+    data::{self, first},
+    folder::{self, Folder},
+    given::{Defaults, Given},
+    options::{LearnArgs, RunArgs, check},
+    recipe::{self, Recipe},
+    session::{Learning, Session},
+    start::{Built, Start, is_name},
+};
+use crate::cli::{
+    failure::{OrBadInput, Outcome, bad_input, say},
+    interrupt,
+};
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use realnet::{
+    EngineChoice, Frame, Runtime, RuntimeOptions, datasets::YoloDataset, onnx::OnnxOptions, picture,
+};
+use realnet_data::{
+    DetectionAugment, DetectionSamples, DetectionSet, Failure, Loader, SheetOptions,
+    detection_sheet,
+};
+use realnet_train::{
+    export::{detector_checkpoint, detector_onnx, safetensors},
+    loss::{BoxLoss, DetectionLoss, DetectionLossOptions},
+    nets::YoloV5,
+    tasks::DetectionTask,
+    trainer::Trainer,
+};
+use serde::{Deserialize, Serialize};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+const TASK: &str = "detect";
+/// Where it goes when nothing else is said.
+const OUT: &str = "runs/detect";
+/// Most samples of the picture of the first batch.
+const BATCH_SHOWN: usize = 16;
+/// The network halves its input five times.
+const STEP: u32 = 32;
+
+#[derive(Debug, Args)]
+pub(crate) struct DetectArgs {
+    #[command(flatten)]
+    settings: DetectSettings,
+    #[command(flatten)]
+    run: RunArgs,
+}
+
+/// All that decides the result, but for the augmentation.
+#[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
+struct DetectSettings {
+    /// A YOLO data.yaml with train and val.
+    #[arg(long, value_name = "FILE")]
+    data: Option<PathBuf>,
+    /// yolov5n, s, m, l or x, with -focus for the form before version 6; or weights (.pt,
+    /// .safetensors) to train on from.
+    #[arg(long, value_name = "NAME|FILE", default_value = "yolov5n")]
+    model: String,
+    /// Weights for a --model by name; what does not fit starts at random.
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Side of the network's input, pixels.
+    #[arg(long, value_name = "N", default_value_t = 640)]
+    imgsz: u32,
+    /// No mosaics in the last epochs: pictures as they really are.
+    #[arg(long, value_name = "EPOCHS", default_value_t = 15)]
+    close_mosaic: usize,
+    #[command(flatten)]
+    #[serde(flatten)]
+    loss: LossArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
+    learn: LearnArgs,
+}
+
+#[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
+#[command(next_help_heading = "Loss")]
+struct LossArgs {
+    /// The loss of boxes.
+    #[arg(long, value_enum, default_value_t = BoxFlag::Giou)]
+    box_loss: BoxFlag,
+    /// Weight of the boxes.
+    #[arg(long, value_name = "GAIN", default_value_t = 0.05)]
+    box_gain: f64,
+    /// Weight of the objectness, for an input of 640 pixels.
+    #[arg(long, value_name = "GAIN", default_value_t = 1.0)]
+    obj_gain: f64,
+    /// Weight of the classes, for 80 of them.
+    #[arg(long, value_name = "GAIN", default_value_t = 0.5)]
+    cls_gain: f64,
+    /// An anchor is for boxes whose sides differ from its own by less than this factor.
+    #[arg(long, value_name = "FACTOR", default_value_t = 4.0)]
+    anchor_t: f64,
+    /// Share of certainty that is taken from classes.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    label_smoothing: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum BoxFlag {
+    Giou,
+    Iou,
+    Diou,
+    Ciou,
+    /// The first YOLO's squared error, for comparison.
+    Squared,
+}
+
+impl Defaults for DetectArgs {
+    const DEFAULTS: &'static [(&'static str, &'static str)] = &[];
+}
+
+impl LossArgs {
+    fn options(&self) -> DetectionLossOptions {
+        DetectionLossOptions {
+            boxes: match self.box_loss {
+                BoxFlag::Giou => BoxLoss::Giou,
+                BoxFlag::Iou => BoxLoss::Iou,
+                BoxFlag::Diou => BoxLoss::Diou,
+                BoxFlag::Ciou => BoxLoss::Ciou,
+                BoxFlag::Squared => BoxLoss::SquaredError,
+            },
+            box_gain: self.box_gain as f32,
+            obj_gain: self.obj_gain as f32,
+            cls_gain: self.cls_gain as f32,
+            anchor_t: self.anchor_t as f32,
+            label_smoothing: self.label_smoothing as f32,
+            ..DetectionLossOptions::default()
+        }
+    }
+
+    fn check(&self) -> Result<()> {
+        let gain = |name, value: f64| {
+            check(name, value, (0.0..=1000.0).contains(&value), "from 0 to 1000")
+        };
+        gain("box_gain", self.box_gain)?;
+        gain("obj_gain", self.obj_gain)?;
+        gain("cls_gain", self.cls_gain)?;
+        let (anchor_t, smoothing) = (self.anchor_t, self.label_smoothing);
+        check("anchor_t", anchor_t, anchor_t > 1.0 && anchor_t <= 100.0, "above 1, at most 100")?;
+        check("label_smoothing", smoothing, (0.0..1.0).contains(&smoothing), "from 0, below 1")
+    }
+}
+
+impl DetectSettings {
+    /// Paths of a file of options stand relative to it.
+    fn beside(&mut self, config: &Path, given: &Given<DetectArgs>) {
+        if let Some(data) = self.data.as_mut().filter(|_| !given.has("data")) {
+            *data = recipe::beside(config, data);
+        }
+        if let Some(weights) = self.weights.as_mut().filter(|_| !given.has("weights")) {
+            *weights = recipe::beside(config, weights);
+        }
+        if !given.has("model") && !is_name(&self.model) {
+            self.model = recipe::beside(config, Path::new(&self.model)).display().to_string();
+        }
+    }
+
+    /// Full paths, so that the file of options is good everywhere.
+    fn resolve(&mut self) -> Result<()> {
+        self.learn.resolve()?;
+        self.loss.check()?;
+        let side = self.imgsz;
+        let ok = side.is_multiple_of(STEP) && (STEP..=4096).contains(&side);
+        check("imgsz", f64::from(side), ok, "a multiple of 32 from 32 to 4096")?;
+        if let Some(data) = &mut self.data {
+            *data = std::path::absolute(&*data).or_bad_input()?;
+        }
+        if let Some(weights) = &mut self.weights {
+            *weights = std::path::absolute(&*weights).or_bad_input()?;
+        }
+        if !is_name(&self.model) && Path::new(&self.model).exists() {
+            let full = std::path::absolute(&self.model).or_bad_input()?;
+            self.model = full.display().to_string();
+        }
+        Ok(())
+    }
+
+    fn data(&self) -> Result<&Path> {
+        self.data.as_deref().ok_or_else(|| bad_input("--data is needed"))
+    }
+
+    fn set(&self, split: &str) -> Result<Arc<DetectionSet>> {
+        let data = self.data()?;
+        let set = DetectionSet::open(data, split, self.imgsz, &self.learn.set());
+        Ok(Arc::new(set.with_context(|| format!("{split} of {}", data.display())).or_bad_input()?))
+    }
+
+    fn samples(
+        &self,
+        set: Arc<DetectionSet>,
+        augment: DetectionAugment,
+    ) -> Result<DetectionSamples> {
+        let until = self.learn.epochs.saturating_sub(self.close_mosaic);
+        let samples = DetectionSamples::training(set, augment, u64::from(self.learn.seed));
+        let until = u32::try_from(until).unwrap_or(u32::MAX);
+        Ok(samples.or_bad_input()?.with_mosaic_until(until))
+    }
+}
+
+/// How the network becomes files.
+struct Detector {
+    classes: Vec<String>,
+    imgsz: u32,
+}
+
+impl Learning for Detector {
+    type Task = DetectionTask;
+    const NAME: &'static str = TASK;
+
+    fn safetensors(&self, model: &YoloV5) -> Result<Vec<u8>> {
+        Ok(safetensors(&detector_checkpoint(model, &self.classes)?)?)
+    }
+
+    fn onnx(&self, model: &YoloV5) -> Result<Vec<u8>> {
+        let side = self.imgsz as usize;
+        let options = OnnxOptions { width: side, height: side, half: false };
+        Ok(detector_onnx(model, &self.classes, &options)?)
+    }
+
+    fn failures(&self, task: &DetectionTask) -> Vec<Failure> {
+        task.loader().failures()
+    }
+}
+
+fn sheet(samples: &DetectionSamples, seed: u32, count: usize) -> Result<Frame> {
+    let made = first(samples, seed, count)?;
+    Ok(detection_sheet(&made, samples.set().names(), &SheetOptions::default())?)
+}
+
+pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
+    let DetectArgs { settings, run } = &given.args;
+    let resumed = match &run.resume {
+        None => None,
+        Some(path) => Some(super::resumed(path, run, given, TASK)?),
+    };
+    let config = resumed.as_ref().map(Folder::args).or_else(|| run.config.clone());
+    let recipe = config.as_deref().map(|path| Recipe::read(path, TASK)).transpose()?;
+    let recipe = recipe.unwrap_or_default();
+    let mut settings = settings.clone();
+    if let Some(config) = &config {
+        settings = recipe.merged(&settings, given, config)?;
+        settings.beside(config, given);
+    }
+    settings.resolve()?;
+    let augment: DetectionAugment = augment::changed(recipe.augment(), &run.augment)?;
+    augment.check().or_bad_input()?;
+    let mut console = Console::new(run.json);
+
+    if let Some(path) = &run.sheet {
+        let set = settings.set("train")?;
+        data::tell(&mut console, "train", set.report());
+        let samples = settings.samples(set, augment)?;
+        let frame = sheet(&samples, settings.learn.seed, run.sheet_count)?;
+        picture::write(path, &frame).or_bad_input()?;
+        say(format!("{}: samples as the network is shown them", path.display()));
+        return Ok(Outcome::Done);
+    }
+
+    let folder = match &resumed {
+        Some(folder) => folder.clone(),
+        None => {
+            let out = run.out.as_deref().unwrap_or(Path::new(OUT));
+            Folder::create(out, TASK, run.overwrite)?
+        }
+    };
+    // Before the pictures, which take time: what is wrong with the network is said at once.
+    let classes = YoloDataset::open(settings.data()?).or_bad_input()?.names().to_vec();
+    let device = settings.learn.device.start(settings.learn.seed);
+    let (network, built) = match &config {
+        Some(config) if resumed.is_some() => {
+            let built: Built = recipe.network(config)?;
+            if built.classes != classes {
+                return Err(bad_input(format!(
+                    "the run was for the classes {}; the data now have {}",
+                    built.classes.join(", "),
+                    classes.join(", ")
+                )));
+            }
+            (built.network(settings.imgsz, &device)?, built)
+        }
+        _ => {
+            let weights = settings.weights.as_deref();
+            let start = Start::open(&settings.model, weights, &classes, settings.imgsz, &device)?;
+            start.words.iter().for_each(|line| console.line(line));
+            (start.network, start.built)
+        }
+    };
+    let (train, val) = (settings.set("train")?, settings.set("val")?);
+    data::tell(&mut console, "train", train.report());
+    data::tell(&mut console, "val", val.report());
+    if interrupt::interrupted() {
+        say("interrupted before the first step");
+        return Ok(Outcome::Interrupted);
+    }
+    let loss = DetectionLoss::new(network.config(), settings.loss.options());
+    let samples = Arc::new(settings.samples(train, augment)?);
+    let batch = sheet(&samples, settings.learn.seed, settings.learn.batch.min(BATCH_SHOWN))?;
+    let loader = Loader::new(samples, settings.learn.loader()).or_bad_input()?;
+    // The embedded engine: the same figures wherever it runs.
+    let runtime =
+        Runtime::start(&RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() });
+    let task = DetectionTask::new(loader, loss, val, runtime);
+    let options = settings.learn.options();
+    let trainer = match &resumed {
+        Some(folder) => {
+            let path = folder.checkpoint();
+            let trainer = Trainer::resume(task, network, options, device, &path).or_bad_input()?;
+            console.line(super::going_on(trainer.history().len(), trainer.options().epochs));
+            trainer
+        }
+        None => {
+            folder.clear()?;
+            folder.draw(folder::BATCH, &batch)?;
+            Trainer::new(task, network, options, device)
+        }
+    };
+    if resumed.is_none() || super::changes(given) {
+        folder.write_args(&recipe::text(TASK, &settings, &augment, &built)?)?;
+    }
+    let device = settings.learn.device;
+    console.line(format!("device: {device}; results in {}", folder.path().display()));
+    let learning = Detector { classes, imgsz: settings.imgsz };
+    let batch = settings.learn.batch;
+    Session { learning, trainer, folder: &folder, console: &mut console, batch }.run()
+}

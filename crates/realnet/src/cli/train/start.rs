@@ -1,0 +1,215 @@
+//! The detector that a training begins with: a size by name, or weights.
+
+use crate::cli::failure::{OrBadInput, bad_input};
+use anyhow::{Context, Result};
+use burn::{module::Module, tensor::Device};
+use realnet::weights::Checkpoint;
+use realnet_train::{
+    names::{self, Taken},
+    nets::{
+        Form, YoloV5, YoloV5Config, YoloV5Size,
+        yolov5::{ANCHORS, STRIDES},
+    },
+};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// What distinguishes the form of older versions.
+const FOCUS: &str = "-focus";
+/// Bottlenecks of the second layer and channels of the first, by size.
+const SHAPES: [(YoloV5Size, &str, usize, usize); 5] = [
+    (YoloV5Size::N, "yolov5n", 1, 16),
+    (YoloV5Size::S, "yolov5s", 1, 32),
+    (YoloV5Size::M, "yolov5m", 2, 48),
+    (YoloV5Size::L, "yolov5l", 3, 64),
+    (YoloV5Size::X, "yolov5x", 4, 80),
+];
+
+/// What a detector was built from, as `args.toml` has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Built {
+    /// Size and form, by name.
+    model: String,
+    /// Classes in order.
+    pub(super) classes: Vec<String>,
+    /// Pixels of the network's input, by stride, width and height each.
+    anchors: [[[f32; 2]; ANCHORS]; 3],
+}
+
+impl Built {
+    fn of(config: &YoloV5Config, classes: &[String]) -> Self {
+        let name = SHAPES.iter().find(|(size, ..)| *size == config.size);
+        let name = name.map_or("", |(_, name, ..)| name);
+        let focus = if config.form == Form::V5 { FOCUS } else { "" };
+        let model = format!("{name}{focus}");
+        Self { model, classes: classes.to_vec(), anchors: config.anchors }
+    }
+
+    /// The same network with random weights, which a checkpoint replaces.
+    pub(super) fn network(&self, imgsz: u32, device: &Device) -> Result<YoloV5> {
+        let config = named(&self.model, self.classes.len(), imgsz)?;
+        Ok(YoloV5::new(&YoloV5Config { anchors: self.anchors, ..config }, device))
+    }
+}
+
+/// Whether it is the name of a size, not a file.
+pub(super) fn is_name(model: &str) -> bool {
+    model.strip_suffix(FOCUS).unwrap_or(model).parse::<YoloV5Size>().is_ok()
+}
+
+fn named(model: &str, classes: usize, imgsz: u32) -> Result<YoloV5Config> {
+    let size = model.strip_suffix(FOCUS).unwrap_or(model).parse().or_bad_input()?;
+    let form = if model.ends_with(FOCUS) { Form::V5 } else { Form::V6 };
+    Ok(YoloV5Config { form, ..YoloV5Config::new(size, classes, imgsz as usize) })
+}
+
+/// A network to begin with.
+pub(super) struct Start {
+    pub(super) network: YoloV5,
+    pub(super) built: Built,
+    /// What it is and where its weights come from, for people.
+    pub(super) words: Vec<String>,
+}
+
+impl Start {
+    /// A size by name, with the weights of a file or without; or the network of a file.
+    pub(super) fn open(
+        model: &str,
+        weights: Option<&Path>,
+        classes: &[String],
+        imgsz: u32,
+        device: &Device,
+    ) -> Result<Self> {
+        let by_name = is_name(model);
+        let file = match weights {
+            Some(path) => Some(path),
+            None if by_name => None,
+            None => Some(Path::new(model)),
+        };
+        if !by_name && weights.is_some() {
+            return Err(bad_input("--weights is for a --model by name; as --model it is enough"));
+        }
+        let read = |path: &Path| {
+            let unknown = || {
+                let none = !by_name && !path.exists();
+                let hint = "no such file, and no yolov5n, s, m, l or x, or one with -focus";
+                format!(
+                    "{}{}",
+                    path.display(),
+                    if none { format!(": {hint}") } else { String::new() }
+                )
+            };
+            Checkpoint::read(path).with_context(unknown).or_bad_input()
+        };
+        let checkpoint = file.map(read).transpose()?;
+        let mut config = match (&checkpoint, file) {
+            (Some(checkpoint), Some(path)) if !by_name => {
+                recognised(checkpoint, classes.len(), imgsz)
+                    .with_context(|| path.display().to_string())
+                    .or_bad_input()?
+            }
+            _ => named(model, classes.len(), imgsz)?,
+        };
+        if let Some(anchors) = checkpoint.as_ref().and_then(anchors) {
+            config.anchors = anchors;
+        }
+        let mut network = YoloV5::new(&config, device);
+        let built = Built::of(&config, classes);
+        let mut words = Vec::new();
+        if let (Some(checkpoint), Some(path)) = (&checkpoint, file) {
+            let (loaded, taken) = names::take(network, &checkpoint.tensors)
+                .with_context(|| path.display().to_string())
+                .or_bad_input()?;
+            network = loaded;
+            words = told(path, checkpoint, &taken, classes);
+        } else {
+            words.push("weights: random".to_owned());
+        }
+        let parameters = network.num_params() as f64 / 1e6;
+        words.insert(0, format!("{}: {parameters:.2} million parameters", built.model));
+        Ok(Self { network, built, words })
+    }
+}
+
+/// What became of the weights of a file.
+fn told(path: &Path, checkpoint: &Checkpoint, taken: &Taken, classes: &[String]) -> Vec<String> {
+    let total = taken.taken + taken.missing.len() + taken.reshaped.len();
+    let mut words =
+        vec![format!("weights: {} of {total} tensors from {}", taken.taken, path.display())];
+    let mut list = |names: Vec<&String>, why: &str| {
+        let Some((first, rest)) = names.split_first() else { return };
+        let more = match rest.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        words.push(format!("  {first}{more}: {why}"));
+    };
+    list(taken.reshaped.iter().collect(), "another shape in the file, random at the start");
+    list(taken.missing.iter().collect(), "not in the file, random at the start");
+    let known = |name: &&String| !name.contains("anchor");
+    list(taken.unused.iter().filter(known).collect(), "not in the network, left out");
+    if let Some(names) = &checkpoint.class_names
+        && names != classes
+    {
+        let heads = if names.len() == classes.len() {
+            "as many: the heads are kept"
+        } else {
+            "another number: the heads start at random"
+        };
+        words.push(format!(
+            "  classes: the file has {}, the data {} ({heads})",
+            names.len(),
+            classes.len()
+        ));
+    }
+    words
+}
+
+/// The network of a file, by the shapes of its tensors.
+fn recognised(checkpoint: &Checkpoint, classes: usize, imgsz: u32) -> Result<YoloV5Config> {
+    let shape = |name: &str| checkpoint.tensors.get(name).map(realnet::weights::Tensor::shape);
+    let (form, channels) = match (shape("model.0.conv.weight"), shape("model.0.conv.conv.weight")) {
+        (Some([channels, 3, 6, 6]), _) => (Form::V6, *channels),
+        (_, Some([channels, 12, 3, 3])) => (Form::V5, *channels),
+        (Some(other), _) | (None, Some(other)) => {
+            return Err(bad_input(format!(
+                "the first convolution has shape {other:?}: neither a YOLOv5 of version 6 \
+                     ([c, 3, 6, 6]) nor one with Focus ([c, 12, 3, 3])"
+            )));
+        }
+        (None, None) => return Err(bad_input("no YOLOv5: there is no model.0.conv.weight")),
+    };
+    let blocks =
+        (0..).take_while(|i| shape(&format!("model.2.m.{i}.cv1.conv.weight")).is_some()).count();
+    let size = SHAPES.iter().find(|(.., b, c)| (*b, *c) == (blocks, channels));
+    let Some((size, ..)) = size else {
+        return Err(bad_input(format!(
+            "{channels} channels and {blocks} bottlenecks at the start are no YOLOv5 n, s, m, l \
+             or x"
+        )));
+    };
+    if shape("model.24.m.0.weight").is_none() {
+        return Err(bad_input(
+            "no detector of three scales: there is no model.24.m.0.weight (networks of four \
+             scales, P6, cannot be trained here)",
+        ));
+    }
+    Ok(YoloV5Config { form, ..YoloV5Config::new(*size, classes, imgsz as usize) })
+}
+
+/// The anchors of a file in pixels; it has them in cells.
+fn anchors(checkpoint: &Checkpoint) -> Option<[[[f32; 2]; ANCHORS]; 3]> {
+    let tensor = checkpoint.tensors.get("model.24.anchors")?;
+    let good = tensor.shape() == [3, ANCHORS, 2]
+        && tensor.data().iter().all(|side| side.is_finite() && *side > 0.0);
+    let mut numbers = tensor.data().iter();
+    let mut pixels = |stride: usize| Some(numbers.next()? * stride as f32);
+    let mut found = [[[0.0; 2]; ANCHORS]; 3];
+    for (level, stride) in found.iter_mut().zip(STRIDES) {
+        for side in level.iter_mut().flatten() {
+            *side = pixels(stride)?;
+        }
+    }
+    good.then_some(found)
+}
