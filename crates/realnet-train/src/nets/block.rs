@@ -33,6 +33,14 @@ impl Normalisation {
     pub const YOLOV5: Self = Self { epsilon: 1e-3, momentum: 0.03 };
     /// PyTorch's.
     pub const PYTORCH: Self = Self { epsilon: 1e-5, momentum: 0.1 };
+
+    /// Batch normalisation of so many channels.
+    #[must_use]
+    pub fn init(self, channels: usize, device: &Device) -> BatchNorm {
+        let Self { epsilon, momentum } = self;
+        let config = BatchNormConfig::new(channels).with_epsilon(epsilon);
+        config.with_momentum(momentum).init(device)
+    }
 }
 
 /// Size and step of a square kernel; the padding keeps `size / step` pixels.
@@ -76,13 +84,9 @@ impl ConvBlock {
         activation: Activation,
         device: &Device,
     ) -> Self {
-        let Normalisation { epsilon, momentum } = normalisation;
         Self {
             conv: convolution(channels, kernel).with_bias(false).init(device),
-            bn: BatchNormConfig::new(channels[1])
-                .with_epsilon(epsilon)
-                .with_momentum(momentum)
-                .init(device),
+            bn: normalisation.init(channels[1], device),
             activation,
         }
     }
@@ -116,10 +120,17 @@ pub fn doubled(x: Tensor<4>) -> Tensor<4> {
     interpolate(x, nearest.with_align_corners(false).with_scale_factor([2.0, 2.0]))
 }
 
-/// Made as large as `like`, between the pixels linearly.
+/// Made as large as `like`, between the centres of the pixels linearly.
 #[must_use]
 pub fn enlarged(x: Tensor<4>, like: &Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = like.dims();
+    resized(x, [height, width], false)
+}
+
+/// Made of `size` (height, width), between the pixels linearly, from their centres or, with
+/// `corners`, from the outer ones on the outer ones.
+#[must_use]
+pub fn resized(x: Tensor<4>, size: [usize; 2], corners: bool) -> Tensor<4> {
     let bilinear = InterpolateOptions::new(InterpolateMode::Bilinear);
-    interpolate(x, bilinear.with_align_corners(false).with_output_size([height, width]))
+    interpolate(x, bilinear.with_align_corners(corners).with_output_size(size))
 }

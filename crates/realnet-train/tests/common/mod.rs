@@ -5,7 +5,7 @@ use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
 
 /// A file of reference values.
-pub struct File(Vec<u8>);
+pub struct File(pub Vec<u8>);
 
 impl File {
     /// One of `data/`.
