@@ -372,7 +372,8 @@ mod tests {
         let set = DetectionSet::from_memory(names, pictures, 32).unwrap();
         let set = set.with_single_class("vehicle");
         assert_eq!(set.names(), ["vehicle"]);
-        assert_eq!(set.images()[0].targets, [target(0, 0.2), target(0, 0.7)]);
+        assert!(set.images()[0].targets.iter().all(|target| target.class_id == 0));
+        assert_eq!(set.images()[0].targets.len(), 2);
         let frame = set.frame(0).unwrap();
         assert_eq!((frame.width(), frame.height()), (32, 16));
         assert!(set.frame(1).is_err());
