@@ -1,6 +1,7 @@
 //! The pose of a calibrated camera from points known in space and seen in the
 //! picture (PnP), with the deviation of the answer, or a reason why there is none;
-//! and depth maps warped by such poses ([`DepthWarper`]).
+//! and depth maps warped by such poses ([`DepthWarper`]), or read as surfaces
+//! ([`SurfaceNormals`]).
 //!
 //! | function | what it needs | what it gives |
 //! |---|---|---|
@@ -75,6 +76,7 @@ mod estimate;
 mod geometry;
 mod kernel;
 mod lm;
+mod normals;
 mod options;
 mod p3p;
 mod problem;
@@ -88,6 +90,7 @@ mod warp;
 pub use dlt::dlt;
 pub use error::PnpError;
 pub use estimate::{Estimate, Origin};
+pub use normals::{NormalMap, NormalOptions, SurfaceNormals};
 pub use options::{RansacOptions, RefineOptions};
 pub use p3p::{P3pPoses, p3p};
 pub use problem::Correspondences;
