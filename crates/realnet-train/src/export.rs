@@ -3,7 +3,7 @@
 use crate::names::{NamesError, Tensors, tensors};
 use crate::nets::block::Normalisation;
 use crate::nets::yolov5::STRIDES;
-use crate::nets::{VnlLite, YoloV5};
+use crate::nets::{DepthNet, YoloV5};
 use realnet_nn::depth::{CodingError, DepthCoding, DepthImportError, DepthWeights};
 use realnet_nn::onnx::{ExportError, OnnxOptions};
 use realnet_nn::weights::{self, Checkpoint};
@@ -93,16 +93,12 @@ pub fn detector_onnx(
 /// # Errors
 /// [`ExportNetworkError`] when the weights cannot be read, or the coding cannot be.
 pub fn depth_checkpoint(
-    model: &VnlLite,
+    model: &impl DepthNet,
     coding: &DepthCoding,
 ) -> Result<Checkpoint, ExportNetworkError> {
     coding.check()?;
-    Ok(Checkpoint {
-        tensors: tensors(model)?,
-        bn_eps: Some(Normalisation::PYTORCH.epsilon),
-        depth: Some(*coding),
-        ..Checkpoint::default()
-    })
+    // The epsilons of batch normalisation are those that the run time knows.
+    Ok(Checkpoint { tensors: tensors(model)?, depth: Some(*coding), ..Checkpoint::default() })
 }
 
 /// A depth network as an ONNX file, complete in one piece.
@@ -110,7 +106,7 @@ pub fn depth_checkpoint(
 /// # Errors
 /// [`ExportNetworkError`] when it cannot be written.
 pub fn depth_onnx(
-    model: &VnlLite,
+    model: &impl DepthNet,
     coding: &DepthCoding,
     options: &OnnxOptions,
 ) -> Result<Vec<u8>, ExportNetworkError> {

@@ -13,9 +13,8 @@ use thiserror::Error;
 /// `depth = scale · 10^(Σ pᵢ · borderᵢ)`,
 /// `borderᵢ = log10(min) + (i + 0.5) · log10(max / min) / bins`.
 ///
-/// The default is what the authors of virtual normals trained MobileNetV2 with on
-/// NYU Depth V2: 0.01 to 1.7, times 10 m, focal length 519 px, the normalisation
-/// of ImageNet.
+/// The default is what the authors of virtual normals trained with on NYU Depth V2:
+/// 0.01 to 1.7, times 10 m, focal length 519 px, the normalisation of ImageNet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthCoding {
     /// Lower border of the first bin, in units of `scale`.
@@ -88,6 +87,17 @@ impl DepthCoding {
             None => Ok(()),
         }
     }
+
+    /// What the authors of virtual normals trained on KITTI with: 0.015 to 1, times 80 m,
+    /// focal length 357.3 px, the normalisation of ImageNet.
+    pub const KITTI: Self = Self {
+        min: 0.015,
+        max: 1.0,
+        scale: 80.0,
+        focal: 357.3,
+        mean: [0.485, 0.456, 0.406],
+        std: [0.229, 0.224, 0.225],
+    };
 
     /// Key of [`DepthCoding::to_json`] in the metadata of ONNX and safetensors files.
     pub const KEY: &'static str = "realnet_depth";

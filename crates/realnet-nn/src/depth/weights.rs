@@ -86,6 +86,8 @@ impl DepthWeights {
     #[must_use]
     pub fn default_size(&self) -> (u32, u32) {
         match self {
+            // The authors train the larger ones at 385.
+            Self::Vnl(network) if network.max_stride() > 8 => (384, 384),
             Self::Vnl(_) => (256, 256),
             Self::VnlLite(_) => (256, 192),
         }

@@ -204,6 +204,16 @@ impl GraphWriter {
         output
     }
 
+    /// The largest of `kernel` x `kernel` pixels at every `stride`-th, padded by half a kernel.
+    pub(crate) fn max_pool(&mut self, input: &str, kernel: usize, stride: usize, output: &str) {
+        let attributes = vec![
+            ints("kernel_shape", &[kernel; 2]),
+            ints("pads", &[kernel / 2; 4]),
+            ints("strides", &[stride; 2]),
+        ];
+        self.node("MaxPool", &[input], &[output], attributes);
+    }
+
     /// `factor` times as wide and high, between the pixels linearly.
     pub(crate) fn resize(
         &mut self,

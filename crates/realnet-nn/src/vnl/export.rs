@@ -1,8 +1,8 @@
 //! Writes the network as ONNX.
 
 use super::{
-    STRIDE, Vnl,
-    graph::{Fusion, Inverted, Transfer},
+    Vnl,
+    graph::{Block, Bottleneck, Fusion, Inverted, Top, Transfer},
 };
 use crate::{
     depth::{Alignment, DepthMetadata, export},
@@ -47,10 +47,10 @@ impl Vnl {
     /// Nothing in the graph depends on the input size.
     ///
     /// # Errors
-    /// [`ExportError`] if the size is no multiple of 8, or a weight does not fit
-    /// 16 bits.
+    /// [`ExportError`] if the size is no multiple of [`Vnl::max_stride`], or a weight does
+    /// not fit 16 bits.
     pub fn to_onnx(&self, options: &OnnxOptions) -> Result<Vec<u8>, ExportError> {
-        check_size(options.width, options.height, STRIDE)?;
+        check_size(options.width, options.height, self.max_stride())?;
         let mut writer = GraphWriter::new("vnl", options.half);
         let features = self.write_features(&mut writer)?;
         self.write_prediction(&mut writer, &features)?;
@@ -58,7 +58,7 @@ impl Vnl {
             coding: self.coding,
             logits: vec![LOGITS.to_owned(), LOGITS_HALF.to_owned()],
             alignment: Alignment::Corners,
-            stride: STRIDE,
+            stride: self.max_stride(),
         };
         Ok(writer.finish_depth(options, &metadata, self.bins(), &[1, 2]))
     }
@@ -67,27 +67,32 @@ impl Vnl {
     fn write_features(&self, writer: &mut GraphWriter) -> Result<String, ExportError> {
         let graph = &self.graph;
         let mut x = writer.conv("encoder.res1", export::INPUT, &graph.stem)?;
+        if graph.pools {
+            writer.max_pool(&x, 3, 2, "encoder.res1.largest");
+            x = "encoder.res1.largest".to_owned();
+        }
         let mut stages = Vec::new();
         for (stage, blocks) in graph.stages.iter().enumerate() {
-            for (block, inverted) in blocks.iter().enumerate() {
-                x = writer.inverted(&format!("encoder.res{}.{block}", stage + 2), &x, inverted)?;
+            for (index, block) in blocks.iter().enumerate() {
+                let path = format!("encoder.res{}.{index}", stage + 2);
+                x = match block {
+                    Block::Inverted(block) => writer.inverted(&path, &x, block)?,
+                    Block::Bottleneck(block) => writer.bottleneck(&path, &x, block)?,
+                };
             }
             stages.push(x.clone());
         }
-        let mean = writer.mean("encoder.pooled", &x);
-        let pooled = writer.conv("encoder.pooled", &mean, &graph.pooled)?;
-        let mut top = writer.conv("decoder.top", &pooled, &graph.top)?;
-        // The pooled top is one value a channel: its mean is itself, and it fits
-        // any size. The laterals are at H/8 but for the last, at H/4.
+        // One value a channel is its own mean, and fits any size.
+        let mut top = writer.top(&x, &graph.top)?;
         let mut means = top.clone();
         let steps = graph.laterals.iter().zip(&graph.fusions).zip(stages.iter().rev());
         for (index, ((lateral, fusion), stage)) in steps.enumerate() {
             let side = writer.transfer(&format!("encoder.lateral{index}"), stage, lateral)?;
             let path = format!("decoder.fcn{}", index + 1);
-            if index + 1 == graph.laterals.len() {
+            if fusion.doubles {
                 top = writer.double(&path, &top);
             }
-            if index > 0 {
+            if index > 0 || graph.top.joined.is_some() {
                 means = writer.mean(&format!("{path}.top"), &top);
             }
             top = writer.fusion(&path, &side, &top, &means, fusion)?;
@@ -146,6 +151,41 @@ impl GraphWriter {
             x = sum;
         }
         Ok(x)
+    }
+
+    fn bottleneck(
+        &mut self,
+        path: &str,
+        input: &str,
+        block: &Bottleneck,
+    ) -> Result<String, ExportError> {
+        let x = self.conv(&format!("{path}.enter"), input, &block.enter)?;
+        let x = self.conv(&format!("{path}.middle"), &x, &block.middle)?;
+        let x = self.conv(&format!("{path}.last"), &x, &block.last)?;
+        let around = match &block.around {
+            Some(around) => self.conv(&format!("{path}.around"), input, around)?,
+            None => input.to_owned(),
+        };
+        Ok(self.add_relu(path, &x, &around))
+    }
+
+    /// What the decoder starts from: a map, or one value a channel where there are no branches.
+    fn top(&mut self, input: &str, top: &Top) -> Result<String, ExportError> {
+        let means = self.mean("encoder.pooled", input);
+        let pooled = self.conv("encoder.pooled", &means, &top.pooled)?;
+        let mean = self.conv("decoder.top", &pooled, &top.mean)?;
+        let Some(joined) = &top.joined else { return Ok(mean) };
+        let mut branches = Vec::with_capacity(top.branches.len());
+        for (index, branch) in top.branches.iter().enumerate() {
+            branches.push(self.conv(&format!("encoder.branch{index}"), input, branch)?);
+        }
+        let branches: Vec<&str> = branches.iter().map(String::as_str).collect();
+        let path = "decoder.top.joined";
+        let side_by_side = self.concat(path, &branches, 1);
+        let map = self.conv(path, &side_by_side, joined)?;
+        let sum = format!("{path}.sum");
+        self.node("Add", &[&map, &mean], &[&sum], vec![]);
+        Ok(sum)
     }
 
     fn transfer(

@@ -176,13 +176,8 @@ impl GraphWriter {
         let mut levels = vec![self.conv(&format!("{path}.cv1"), input, &spp.cv1)?];
         for (index, &kernel) in spp.pools.iter().enumerate() {
             let output = format!("{path}.pool{index}");
-            let attributes = vec![
-                ints("kernel_shape", &[kernel, kernel]),
-                ints("pads", &[kernel / 2; 4]),
-                ints("strides", &[1, 1]),
-            ];
             let before = levels.last().cloned().unwrap_or_default();
-            self.node("MaxPool", &[&before], &[&output], attributes);
+            self.max_pool(&before, kernel, 1, &output);
             levels.push(output);
         }
         let levels: Vec<&str> = levels.iter().map(String::as_str).collect();

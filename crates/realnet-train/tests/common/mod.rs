@@ -1,6 +1,11 @@
 #![allow(dead_code, unreachable_pub)]
 
-use realnet_nn::weights::Checkpoint;
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use realnet_nn::engine::{EngineChoice, Runtime, RuntimeOptions};
+use realnet_nn::onnx::OnnxModel;
+use realnet_nn::weights::{self, Checkpoint};
+use realnet_train::names::{Tensors, take_all, tensors};
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
 
@@ -97,4 +102,65 @@ pub fn npy(name: &str) -> Option<Vec<f64>> {
     assert!(text.contains("'<f4'") && text.contains("'fortran_order': False"), "{text}");
     let floats = bytes[10 + header..].chunks_exact(4);
     Some(floats.map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect())
+}
+
+pub fn device() -> Device {
+    Device::flex()
+}
+
+pub fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f64> {
+    tensor.clone().into_data().try_to_vec::<f32>().unwrap().into_iter().map(f64::from).collect()
+}
+
+/// The same network with statistics and scales as training leaves them.
+pub fn worn<M: Module>(net: M) -> M {
+    let worn: Tensors = tensors(&net).unwrap();
+    let worn = worn.into_iter().map(|(name, tensor)| {
+        let seed = name.bytes().fold(7u32, |h, b| h.wrapping_mul(31) ^ u32::from(b));
+        let unit = |i: usize| f64::from(seed.wrapping_add(i as u32 * 7919) % 1000) / 1000.0;
+        let [least, width] = match name.rsplit('.').next().unwrap() {
+            "running_var" => [0.4, 1.2],
+            "running_mean" => [-0.3, 0.6],
+            "bias" => [-0.2, 0.5],
+            "weight" if tensor.shape().len() == 1 => [1.0, 1.0],
+            _ => return (name, tensor),
+        };
+        let data = (0..tensor.data().len()).map(|i| (least + width * unit(i)) as f32);
+        let tensor = weights::Tensor::new(tensor.shape().to_vec(), data.collect()).unwrap();
+        (name, tensor)
+    });
+    take_all(net, &worn.collect()).unwrap()
+}
+
+/// The only output of a file for an input of noise, on the embedded engine.
+pub fn run(model: OnnxModel, input: &[f32]) -> Vec<f64> {
+    let runtime = RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() };
+    let mut engine = Runtime::start(&runtime).load(model).unwrap();
+    engine.input().copy_from_slice(input);
+    let mut found = Vec::new();
+    engine
+        .run(&mut |outputs| found.extend(outputs[0].data.iter().copied().map(f64::from)))
+        .unwrap();
+    found
+}
+
+pub fn noise(width: usize, height: usize) -> (Vec<f32>, Tensor<4>) {
+    let mut state = 5u32;
+    let pixels = (0..3 * width * height).map(|_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 22) as f32 - 2.0
+    });
+    let pixels: Vec<f32> = pixels.collect();
+    let data = TensorData::new(pixels.clone(), [1, 3, height, width]);
+    (pixels, Tensor::from_data(data, &device()))
+}
+
+/// The largest difference between two pixels of a plane: what tells that a picture was seen.
+pub fn spread(values: &[f64], plane: usize) -> f64 {
+    let span = |plane: &[f64]| {
+        let [least, most] =
+            plane.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+        most - least
+    };
+    values.chunks_exact(plane).map(span).fold(0.0, f64::max)
 }
