@@ -38,6 +38,7 @@ mod confusion;
 mod curves;
 pub mod depth;
 mod index;
+mod normals;
 pub mod odometry;
 pub mod plot;
 mod report;
@@ -50,6 +51,7 @@ pub use depth::{
     DepthCrop, DepthErrors, DepthEvalError, DepthMetrics, DepthProtocol, DepthReport, ImageDepth,
     Pooling, ScaleSpread,
 };
+pub use normals::{NormalErrors, NormalMetrics};
 pub use odometry::{
     ErrorSummary, OdometryError, RelativePoseErrors, RelativePoseReport, relative_pose_error,
 };

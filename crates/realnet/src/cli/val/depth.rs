@@ -21,7 +21,11 @@ use clap::{ArgGroup, Args, ValueEnum};
 use data::{Data, Format, SelectArgs};
 use estimate::{Estimator, NetworkArgs};
 use page::Page;
-use realnet::eval::{DepthCrop, DepthMetrics, DepthProtocol, Pooling};
+use realnet::{
+    CameraModel, DepthMap,
+    eval::{DepthCrop, DepthMetrics, DepthProtocol, NormalMetrics, Pooling},
+};
+use realnet_pose::{NormalOptions, SurfaceNormals};
 use report::{FrameErrors, Protocol, Report, Selection};
 use std::path::PathBuf;
 
@@ -61,6 +65,9 @@ pub(crate) struct DepthArgs {
     /// How a frame is fitted into the network's input.
     #[arg(long, value_enum, default_value_t = FilterFlag::Triangle)]
     resize: FilterFlag,
+    /// Compare surface normals too: planes fitted to 7x7 depths; takes a camera.
+    #[arg(long)]
+    normals: bool,
     /// Write a page with pictures, metrics.json and images.csv into this directory.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -166,6 +173,27 @@ struct Gathered {
     /// Pictures that could not be read or have no produced depth.
     bad: usize,
     ms: Vec<f64>,
+    normals: NormalMetrics,
+    surfaces: Option<(CameraModel, SurfaceNormals)>,
+}
+
+impl Gathered {
+    /// Compares the surfaces of two depth maps of a camera.
+    fn compare_normals(
+        &mut self,
+        camera: CameraModel,
+        truth: &DepthMap,
+        produced: &DepthMap,
+    ) -> Result<()> {
+        let kept = self.surfaces.take().filter(|(of, _)| *of == camera);
+        let (_, surfaces) =
+            self.surfaces.insert(kept.unwrap_or_else(|| {
+                (camera, SurfaceNormals::new(&camera, NormalOptions::default()))
+            }));
+        let [truth, produced] = [surfaces.of(truth)?, surfaces.of(produced)?];
+        self.normals.add(truth.angles(&produced));
+        Ok(())
+    }
 }
 
 pub(crate) fn run(args: &DepthArgs) -> Result<Outcome> {
@@ -182,7 +210,7 @@ pub(crate) fn run(args: &DepthArgs) -> Result<Outcome> {
     if data.scale_is_guessed {
         say("PNG depth is taken to have 5000 units a metre; millimetres need --depth-scale 1000");
     }
-    if args.model.is_some() && !args.camera.is_given() {
+    if (args.model.is_some() || args.normals) && !args.camera.is_given() {
         data.check_cameras()?;
     }
     let protocol = args.protocol.protocol(&data)?;
@@ -238,6 +266,7 @@ pub(crate) fn run(args: &DepthArgs) -> Result<Outcome> {
             estimator: estimator.words(),
             camera: camera_words(args, &data),
         },
+        normals: gathered.normals.errors(),
         ms_per_image: report::median(&mut gathered.ms),
     };
     let text = report::text(&report, &errors);
@@ -273,9 +302,12 @@ fn measure(
         }
         bar.inc(1);
         let read = sample.read().and_then(|(frame, truth)| {
-            Ok((estimator.prepare(sample, &frame, &args.camera)?, frame, truth))
+            let prepared = estimator.prepare(sample, &frame, &args.camera)?;
+            let camera = || sample.camera(&args.camera, frame.width(), frame.height());
+            let camera = args.normals.then(camera).transpose()?;
+            Ok((prepared, camera, frame, truth))
         });
-        let (prepared, frame, truth) = match read {
+        let (prepared, camera, frame, truth) = match read {
             Ok(read) => read,
             Err(error) => {
                 // A picture that is bad costs only itself.
@@ -288,6 +320,9 @@ fn measure(
         let (produced, ms) = estimator.run(prepared, &frame)?;
         gathered.ms.extend(ms);
         let compared = metrics.add(&truth, &produced)?;
+        if let Some(camera) = camera {
+            gathered.compare_normals(camera, &truth, &produced)?;
+        }
         gathered.frames.push(FrameErrors { index, compared });
     }
     bar.finish_and_clear();

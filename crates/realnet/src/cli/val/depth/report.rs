@@ -4,7 +4,9 @@ use super::{
     data::{Data, SelectArgs},
     estimate::Words,
 };
-use realnet::eval::{DepthErrors, DepthProtocol, DepthReport, ImageDepth, ScaleSpread};
+use realnet::eval::{
+    DepthErrors, DepthProtocol, DepthReport, ImageDepth, NormalErrors, ScaleSpread,
+};
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -16,6 +18,9 @@ pub(super) struct Report {
     /// Pictures that the figures are of.
     pub(super) images: usize,
     pub(super) protocol: Protocol,
+    /// Errors of the surfaces' normals, mean of images; where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) normals: Option<NormalErrors>,
     /// Median of fitting, inference and resizing; reading files is not in it. Depth
     /// maps of another program have none.
     pub(super) ms_per_image: Option<f64>,
@@ -115,6 +120,9 @@ pub(super) fn text(report: &Report, errors: &DepthReport) -> String {
         report.protocol.own.pooling,
         100.0 * d1
     );
+    if let Some(normals) = &report.normals {
+        let _ = writeln!(text, "\n{normals} (mean of images)");
+    }
     if let Some(ms) = report.ms_per_image {
         let _ = writeln!(text, "\n{ms:.1} ms a picture (median; reading files not counted)");
     }
