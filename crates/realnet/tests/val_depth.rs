@@ -159,6 +159,28 @@ fn figures_are_those_of_the_formulas() {
     assert_eq!(scaled["protocol"]["median_scaling"], true);
 }
 
+/// A wall that is met head-on, and maps that take it for one turned by 20 degrees about the
+/// vertical: every normal is 20 degrees off, for the camera that is given.
+#[test]
+fn normals_are_compared_where_they_are_asked_for() {
+    let bench = Bench::new(1.0);
+    let slope = 20.0_f64.to_radians().tan();
+    for n in NUMBERS {
+        write_depth(&bench.path(&format!("nyu/depth/{n:04}.png")), |_, _| 2000);
+        let ray = |x: u32| (f64::from(x) - f64::from(WIDTH - 1) / 2.0) / 40.0;
+        write_depth(&bench.map(n), |x, _| (2000.0 / (1.0 + slope * ray(x))).round() as u16);
+    }
+    let found = report(&bench.run(&["--json", "--normals", "--fx", "40"]).quiet());
+    let normals = &found["normals"];
+    for key in ["mean_deg", "median_deg"] {
+        assert!((normals[key].as_f64().unwrap() - 20.0).abs() < 0.2, "{normals:#}");
+    }
+    assert_eq!((&normals["within_11"], &normals["within_22"]), (&0.0.into(), &1.0.into()));
+    let run = bench.run(&["--normals", "--fx", "40"]).quiet();
+    assert!(run.stdout.contains("surface normals: mean "), "{}", run.stdout);
+    assert!(!bench.run(&[]).quiet().stdout.contains("normals"));
+}
+
 #[test]
 fn the_table_says_how_it_was_measured() {
     let bench = Bench::new(1.3);
