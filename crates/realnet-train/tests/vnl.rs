@@ -17,7 +17,7 @@ use realnet_nn::depth::{DepthCoding, DepthModel, DepthWeights, Detail};
 use realnet_nn::onnx::OnnxOptions;
 use realnet_nn::weights::{self, Checkpoint};
 use realnet_train::export::{depth_checkpoint, depth_onnx, safetensors};
-use realnet_train::names::{NamesError, Tensors, tensors};
+use realnet_train::names::{NamesError, Tensors, take_all, tensors};
 use realnet_train::nets::{Vnl, VnlBody, VnlConfig};
 use realnet_train::optim::Optimizer;
 
@@ -57,6 +57,61 @@ fn logits_are_those_of_the_released_network() {
         .collect();
     let expected: Vec<f64> = values["depth"].data().iter().map(|x| (*x).into()).collect();
     close("depth", &depth, &expected, 1e-5, 1e-4);
+}
+
+/// Numbers from 0 to 1 by the formula of `data/README.md`.
+fn units(name: &str, count: usize) -> impl Iterator<Item = f64> {
+    let seed = name.bytes().fold(7u32, |h, b| h.wrapping_mul(31) ^ u32::from(b));
+    (0..count as u32).map(move |i| {
+        let x = i.wrapping_mul(2_654_435_761).wrapping_add(seed);
+        let x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
+        let x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
+        f64::from(x ^ (x >> 16)) / 2f64.powi(32)
+    })
+}
+
+/// Weights by the same formula for all the network has.
+fn formula(net: &Vnl) -> Tensors {
+    let weights = tensors(net).unwrap().into_iter().map(|(name, old)| {
+        let shape = old.shape().to_vec();
+        let [least, width] = match name.rsplit('.').next().unwrap() {
+            "running_var" => [0.5, 1.0],
+            "running_mean" | "bias" => [-0.2, 0.4],
+            _ if shape.len() == 1 => [0.8, 0.6],
+            _ => {
+                let most = (2.0 / shape[1..].iter().product::<usize>() as f64).sqrt();
+                [-most, 2.0 * most]
+            }
+        };
+        let units = units(&name, old.data().len());
+        let values = units.map(|unit| (least + width * unit) as f32).collect();
+        (name, weights::Tensor::new(shape, values).unwrap())
+    });
+    weights.collect()
+}
+
+/// The released code on weights of a formula, which has a value for every name it knows:
+/// layers, dilations, epsilons and names are the same.
+#[test]
+fn resnext_networks_are_the_released_ones() {
+    let file = common::File::open("vnl_network.safetensors");
+    let (width, height, every) = (80, 64, 11);
+    for (body, name, bins) in
+        [(VnlBody::ResNext50, "resnext50", 150), (VnlBody::ResNext101, "resnext101", 100)]
+    {
+        let net = Vnl::new(&VnlConfig { body, bins }, &device());
+        let net = take_all(net.clone(), &formula(&net)).unwrap();
+        let pixels = units("image", 3 * width * height).map(|unit| (4.0 * unit - 2.0) as f32);
+        let image = TensorData::new(pixels.collect::<Vec<f32>>(), [1, 3, height, width]);
+        let found = numbers(&net.forward(Tensor::from_data(image, &device())));
+        let some = found.iter().enumerate().filter(|(index, _)| {
+            (index / width % height).is_multiple_of(every) && (index % width).is_multiple_of(every)
+        });
+        let some: Vec<f64> = some.map(|(_, value)| *value).collect();
+        let expected = file.numbers(name);
+        assert!(spread(&expected, 48) > 0.5);
+        close(name, &some, &expected, 1e-4, 1e-4);
+    }
 }
 
 /// Logits in training and at run time, of random weights, at a size that is not square.

@@ -94,7 +94,7 @@ pub struct DepthModel {
 
 #[derive(Clone, Debug)]
 enum Source {
-    Weights(Box<DepthWeights>),
+    Weights(DepthWeights),
     Onnx { model: Box<OnnxModel>, metadata: DepthMetadata, size: (u32, u32) },
 }
 
@@ -137,7 +137,7 @@ impl DepthModel {
     /// A network in memory; `name` is for messages.
     #[must_use]
     pub fn from_weights(name: &str, network: impl Into<DepthWeights>) -> Self {
-        Self { name: name.to_owned(), source: Source::Weights(Box::new(network.into())) }
+        Self { name: name.to_owned(), source: Source::Weights(network.into()) }
     }
 
     fn from_onnx(name: &str, model: OnnxModel) -> Result<Self, DepthModelError> {

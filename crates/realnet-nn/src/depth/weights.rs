@@ -34,20 +34,20 @@ pub enum DepthImportError {
 #[derive(Debug, Clone, PartialEq)]
 pub enum DepthWeights {
     /// The authors' virtual-normal network.
-    Vnl(Vnl),
+    Vnl(Box<Vnl>),
     /// The network for small computers.
-    VnlLite(VnlLite),
+    VnlLite(Box<VnlLite>),
 }
 
 impl From<Vnl> for DepthWeights {
     fn from(network: Vnl) -> Self {
-        Self::Vnl(network)
+        Self::Vnl(Box::new(network))
     }
 }
 
 impl From<VnlLite> for DepthWeights {
     fn from(network: VnlLite) -> Self {
-        Self::VnlLite(network)
+        Self::VnlLite(Box::new(network))
     }
 }
 
