@@ -2,7 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`nets`] | YOLOv5 n, s, m, l, x and `vnl-lite`, in burn |
+//! | [`nets`] | YOLOv5 n, s, m, l, x, the authors' VNL and `vnl-lite`, in burn |
 //! | [`names`] | their weights by PyTorch's names, in and out |
 //! | [`anchors`] | the sizes of boxes that a detector begins with, fitted to a data set |
 //! | [`loss`] | boxes, objectness and classes; classes of depth and virtual normals |

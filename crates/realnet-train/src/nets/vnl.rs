@@ -201,6 +201,7 @@ impl Pyramid {
 }
 
 /// The encoder's own network.
+#[allow(clippy::large_enum_variant, reason = "one a network, and modules have no boxes")]
 #[derive(Module, Debug)]
 enum Body {
     Mobile(MobileNetV2),
@@ -208,6 +209,7 @@ enum Body {
 }
 
 /// What the decoder starts from.
+#[allow(clippy::large_enum_variant, reason = "one a network, and modules have no boxes")]
 #[derive(Module, Debug)]
 enum Top {
     Pool(Pool),
