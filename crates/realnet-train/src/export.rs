@@ -152,5 +152,25 @@ pub fn safetensors(checkpoint: &Checkpoint) -> Result<Vec<u8>, ExportNetworkErro
     if let Some(coding) = &checkpoint.depth {
         metadata.insert(DepthCoding::KEY.to_owned(), coding.to_json());
     }
-    safetensors::serialize(views, Some(metadata)).map_err(|error| wrong(&error))
+    let file = safetensors::serialize(views, Some(metadata)).map_err(|error| wrong(&error))?;
+    sorted(file).ok_or_else(|| wrong(&"its header is none"))
+}
+
+/// The same file with its metadata in the order of their keys: the library's is another one in
+/// each run, and equal networks are to be equal files.
+fn sorted(mut file: Vec<u8>) -> Option<Vec<u8>> {
+    const METADATA: &str = "__metadata__";
+    let (length, rest) = file.split_first_chunk_mut::<8>()?;
+    let header = rest.get_mut(..usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    let mut parsed: serde_json::Map<String, serde_json::Value> =
+        serde_json::from_slice(header).ok()?;
+    parsed.get_mut(METADATA)?.as_object_mut()?.sort_keys();
+    let mut text = serde_json::to_vec(&parsed).ok()?;
+    // As long as it was, but for the spaces behind it.
+    if text.len() > header.len() {
+        return None;
+    }
+    text.resize(header.len(), b' ');
+    header.copy_from_slice(&text);
+    Some(file)
 }

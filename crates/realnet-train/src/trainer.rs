@@ -2,11 +2,13 @@
 
 mod checkpoint;
 
+use crate::names::{NamesError, tensors};
 use crate::optim::{Ema, Optimizer, Schedule, clip_norm};
 use burn::module::Module;
 use burn::optim::{GradientsAccumulator, GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 pub use checkpoint::CheckpointError;
+use realnet_nn::weights;
 use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::ops::ControlFlow;
@@ -142,6 +144,23 @@ pub enum TrainError {
         loss: f32,
         /// The learning rate.
         lr: f64,
+    },
+    /// The weights are no numbers any more: the learning rate may be too large.
+    #[error("after epoch {epoch} '{name}' is not finite")]
+    NotFinite {
+        /// When.
+        epoch: usize,
+        /// The first of the weights of which that is so.
+        name: String,
+    },
+    /// The network cannot be read.
+    #[error("the network after epoch {epoch}")]
+    Weights {
+        /// When.
+        epoch: usize,
+        /// Why.
+        #[source]
+        source: NamesError,
     },
     /// An epoch without a batch.
     #[error("epoch {epoch} has no batch")]
@@ -364,6 +383,14 @@ impl<T: Task> Trainer<T> {
         }
         if seen == 0 {
             return Err(TrainError::Empty { epoch });
+        }
+        // A loss that was still finite may have been the last one.
+        let average = tensors(self.ema.model());
+        let average = average.map_err(|source| TrainError::Weights { epoch, source })?;
+        let broken =
+            |tensor: &weights::Tensor| tensor.data().iter().any(|value| !value.is_finite());
+        if let Some((name, _)) = average.into_iter().find(|(_, tensor)| broken(tensor)) {
+            return Err(TrainError::NotFinite { epoch, name });
         }
         let validation = self.task.validate(self.ema.model()).map_err(data)?;
         let mut means = sums.into_iter().map(|sum| sum / seen as f64);

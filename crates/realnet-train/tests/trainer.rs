@@ -204,11 +204,18 @@ fn patience_ends_and_a_loss_that_is_no_number_is_an_error() {
     let mut trainer = Trainer::new(
         Brightness { diverges: true, ..Brightness::default() },
         net(),
-        options,
+        options.clone(),
         device(),
     );
     match trainer.run(None, &mut never()) {
         Err(TrainError::Diverged { epoch: 0, step: 0, loss, .. }) => assert!(loss.is_nan()),
+        other => panic!("{other:?}"),
+    }
+    // The only update comes after the last loss of the epoch.
+    let options = TrainOptions { lr: 1e39, warmup_epochs: 0.0, accumulate: 5, ..options };
+    let mut trainer = Trainer::new(Brightness::default(), net(), options, device());
+    match trainer.run(None, &mut never()) {
+        Err(TrainError::NotFinite { epoch: 0, name }) => assert!(name.contains("first"), "{name}"),
         other => panic!("{other:?}"),
     }
 }
