@@ -60,8 +60,8 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     });
     match most - least {
         apart if apart > 0.0 && apart.is_finite() => (least, most),
-        _ if least.is_finite() && most.is_finite() => {
-            let half = (0.5 * least.abs()).max(1e-9);
+        _ if least.is_finite() && most.is_finite() && least != 0.0 => {
+            let half = 0.5 * least.abs();
             (least - half, least + half)
         }
         _ => (0.0, 1.0),
@@ -70,9 +70,16 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
 
 /// A number of an axis whose numbers lie `step` apart.
 fn number(value: f64, step: f64) -> String {
+    // What is left of 0 after additions.
+    let value = if value.abs() < 1e-6 * step { 0.0 } else { value };
     let decimals = (-step.log10()).ceil().max(0.0);
     if decimals > 4.0 || value.abs() >= 1e6 {
-        return if value == 0.0 { "0".to_owned() } else { format!("{value:.1e}") };
+        let digits = (value.abs().log10().floor() - step.log10().floor()).clamp(0.0, 8.0);
+        return if value == 0.0 {
+            "0".to_owned()
+        } else {
+            format!("{value:.0$e}", digits as usize)
+        };
     }
     format!("{value:.0$}", decimals as usize)
 }
@@ -220,7 +227,9 @@ mod tests {
         assert_eq!(number(10.0, 5.0), "10");
         assert_eq!(number(0.001, 0.0002), "0.0010");
         assert_eq!(number(0.0, 1e-6), "0");
+        assert_eq!(number(1e-25, 1e-6), "0");
         assert_eq!(number(2e-5, 1e-6), "2.0e-5");
+        assert_eq!(number(8.25e-4, 1e-6), "8.25e-4");
         assert_eq!(figure(0.5), "0.5000");
         assert_eq!(figure(1e-5), "1.00e-5");
     }

@@ -10,11 +10,15 @@ mod console;
 #[cfg(feature = "train")]
 mod data;
 #[cfg(feature = "train")]
+mod depth;
+#[cfg(feature = "train")]
 mod detect;
 #[cfg(feature = "train")]
 mod folder;
 #[cfg(feature = "train")]
 mod given;
+#[cfg(feature = "train")]
+mod opened;
 #[cfg(feature = "train")]
 mod options;
 #[cfg(feature = "train")]
@@ -23,6 +27,8 @@ mod recipe;
 mod session;
 #[cfg(feature = "train")]
 mod start;
+#[cfg(feature = "train")]
+mod weights;
 
 use super::failure::Outcome;
 use anyhow::Result;
@@ -40,57 +46,16 @@ pub(crate) struct TrainArgs {
 enum TrainCommand {
     /// A YOLOv5 detector, from a YOLO data set.
     Detect(Box<given::Given<detect::DetectArgs>>),
+    /// A depth network, from pictures with depth maps.
+    Depth(Box<given::Given<depth::DepthArgs>>),
 }
 
 #[cfg(feature = "train")]
 pub(crate) fn run(args: &TrainArgs) -> Result<Outcome> {
     match &args.command {
         TrainCommand::Detect(args) => detect::run(args),
+        TrainCommand::Depth(args) => depth::run(args),
     }
-}
-
-/// The folder of a run that is to go on. Whatever else decides the result is in it, and must
-/// not be given.
-#[cfg(feature = "train")]
-fn resumed<T>(
-    path: &std::path::Path,
-    run: &options::RunArgs,
-    given: &given::Given<T>,
-    task: &str,
-) -> Result<folder::Folder> {
-    let own = ["resume", "out", "json"];
-    let fixed = |name: &&str| !own.contains(name) && !options::MAY_CHANGE.contains(name);
-    if let Some(name) = given.names().find(fixed) {
-        return Err(super::failure::bad_input(format!(
-            "--{} cannot be changed when a run goes on; only {} can",
-            name.replace('_', "-"),
-            options::MAY_CHANGE.map(|name| format!("--{name}")).join(", ")
-        )));
-    }
-    let path = match (path.as_os_str().is_empty(), &run.out) {
-        (false, None) => path,
-        (true, Some(out)) => out,
-        (false, Some(_)) => {
-            return Err(super::failure::bad_input("--resume DIR goes on in DIR: leave out --out"));
-        }
-        (true, None) => return Err(super::failure::bad_input("--resume: of which folder?")),
-    };
-    folder::Folder::resume(path, task)
-}
-
-/// Whether a run that goes on was given other options.
-#[cfg(feature = "train")]
-fn changes<T>(given: &given::Given<T>) -> bool {
-    given.names().any(|name| options::MAY_CHANGE.contains(&name))
-}
-
-/// What a run that goes on says first.
-#[cfg(feature = "train")]
-fn going_on(done: usize, epochs: usize) -> String {
-    if done >= epochs {
-        return format!("all {epochs} epochs are done; --epochs N goes on to N");
-    }
-    format!("going on after epoch {done} of {epochs}")
 }
 
 /// What there is instead of a command.

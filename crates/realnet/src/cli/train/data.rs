@@ -4,7 +4,10 @@ use super::console::Console;
 use crate::cli::failure::{bad_input, say};
 use anyhow::Result;
 use realnet_data::{CheckReport, Failure, Finding, Problem, Samples, epoch_order};
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::PathBuf,
+};
 
 /// Findings of a kind that are named.
 const NAMED: usize = 10;
@@ -46,14 +49,17 @@ fn listed(items: &[impl std::fmt::Display]) {
 /// Samples that could not be made in training: each is named once.
 #[derive(Debug, Default)]
 pub(super) struct Failures {
-    named: BTreeSet<usize>,
+    named: BTreeSet<PathBuf>,
 }
 
 impl Failures {
     /// Names those that are new.
     pub(super) fn tell(&mut self, failures: &[Failure]) {
-        let new: Vec<_> =
-            failures.iter().filter(|f| !self.named.contains(&f.error.index)).collect();
+        let new: Vec<_> = failures
+            .iter()
+            .map(|failure| &failure.error)
+            .filter(|error| self.named.insert(error.path.clone()))
+            .collect();
         if new.is_empty() {
             return;
         }
@@ -61,8 +67,7 @@ impl Failures {
             "warning: {} samples could not be made; each time the next one took its place",
             new.len()
         ));
-        listed(&new.iter().map(|failure| &failure.error).collect::<Vec<_>>());
-        self.named.extend(new.iter().map(|failure| failure.error.index));
+        listed(&new);
     }
 }
 

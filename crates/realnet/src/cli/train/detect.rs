@@ -4,11 +4,12 @@ use super::{
     augment,
     console::Console,
     data::{self, first},
-    folder::{self, Folder},
+    folder,
     given::{Defaults, Given},
+    opened::Opened,
     options::{LearnArgs, RunArgs, check},
-    recipe::{self, Recipe},
-    session::{Learning, Session},
+    recipe,
+    session::{Learning, Session, going_on},
     start::{Built, Start, is_name},
 };
 use crate::cli::{
@@ -25,6 +26,7 @@ use realnet_data::{
     detection_sheet,
 };
 use realnet_train::{
+    anchors::{self, AnchorFit, AnchorSearch, Anchors},
     export::{detector_checkpoint, detector_onnx, safetensors},
     loss::{BoxLoss, DetectionLoss, DetectionLossOptions},
     nets::YoloV5,
@@ -69,6 +71,12 @@ struct DetectSettings {
     /// Side of the network's input, pixels.
     #[arg(long, value_name = "N", default_value_t = 640)]
     imgsz: u32,
+    /// Anchors: fitted to the data where those of the network do not fit, or kept.
+    #[arg(long, value_enum, default_value_t = AnchorsFlag::Auto)]
+    anchors: AnchorsFlag,
+    /// Everything that is labelled is one class of this name.
+    #[arg(long, value_name = "NAME")]
+    single_cls: Option<String>,
     /// No mosaics in the last epochs: pictures as they really are.
     #[arg(long, value_name = "EPOCHS", default_value_t = 15)]
     close_mosaic: usize,
@@ -78,6 +86,13 @@ struct DetectSettings {
     #[command(flatten)]
     #[serde(flatten)]
     learn: LearnArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum AnchorsFlag {
+    Auto,
+    Keep,
 }
 
 #[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
@@ -191,7 +206,35 @@ impl DetectSettings {
     fn set(&self, split: &str) -> Result<Arc<DetectionSet>> {
         let data = self.data()?;
         let set = DetectionSet::open(data, split, self.imgsz, &self.learn.set());
-        Ok(Arc::new(set.with_context(|| format!("{split} of {}", data.display())).or_bad_input()?))
+        let set = set.with_context(|| format!("{split} of {}", data.display())).or_bad_input()?;
+        Ok(Arc::new(match &self.single_cls {
+            Some(name) => set.with_single_class(name),
+            None => set,
+        }))
+    }
+
+    fn classes(&self) -> Result<Vec<String>> {
+        let names = YoloDataset::open(self.data()?).or_bad_input()?.names().to_vec();
+        Ok(self.single_cls.clone().map_or(names, |name| vec![name]))
+    }
+
+    /// Fits the anchors to the boxes of the data, and says how they fit.
+    fn fit(&self, anchors: &mut Anchors, train: &DetectionSet) -> String {
+        let (boxes, anchor_t) =
+            (train.object_sizes().collect::<Vec<_>>(), self.loss.anchor_t as f32);
+        let (fit, which) = match self.anchors {
+            AnchorsFlag::Auto => {
+                let seed = u64::from(self.learn.seed);
+                let search = AnchorSearch { anchor_t, seed, ..AnchorSearch::default() };
+                let (found, fit) = anchors::fitting(anchors, &boxes, &search);
+                let which = if found == *anchors { "kept" } else { "fitted to the data" };
+                *anchors = found;
+                (fit, which)
+            }
+            AnchorsFlag::Keep => (AnchorFit::new(&boxes, anchors.as_flattened(), anchor_t), "kept"),
+        };
+        let (recall, above) = (100.0 * fit.recall, fit.above);
+        format!("anchors: {which}; some fits {recall:.1} % of the objects, {above:.1} on average")
     }
 
     fn samples(
@@ -231,6 +274,14 @@ impl Learning for Detector {
     }
 }
 
+/// Where the network comes from.
+enum Origin {
+    /// A new run's.
+    New(Start),
+    /// That of a run that goes on.
+    Run(Built),
+}
+
 fn sheet(samples: &DetectionSamples, seed: u32, count: usize) -> Result<Frame> {
     let made = first(samples, seed, count)?;
     Ok(detection_sheet(&made, samples.set().names(), &SheetOptions::default())?)
@@ -238,20 +289,14 @@ fn sheet(samples: &DetectionSamples, seed: u32, count: usize) -> Result<Frame> {
 
 pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
     let DetectArgs { settings, run } = &given.args;
-    let resumed = match &run.resume {
-        None => None,
-        Some(path) => Some(super::resumed(path, run, given, TASK)?),
-    };
-    let config = resumed.as_ref().map(Folder::args).or_else(|| run.config.clone());
-    let recipe = config.as_deref().map(|path| Recipe::read(path, TASK)).transpose()?;
-    let recipe = recipe.unwrap_or_default();
+    let opened = Opened::new(run, given, TASK)?;
     let mut settings = settings.clone();
-    if let Some(config) = &config {
-        settings = recipe.merged(&settings, given, config)?;
+    if let Some(config) = &opened.config {
+        settings = opened.recipe.merged(&settings, given, config)?;
         settings.beside(config, given);
     }
     settings.resolve()?;
-    let augment: DetectionAugment = augment::changed(recipe.augment(), &run.augment)?;
+    let augment: DetectionAugment = augment::changed(opened.recipe.augment(), &run.augment)?;
     augment.check().or_bad_input()?;
     let mut console = Console::new(run.json);
 
@@ -265,33 +310,17 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
         return Ok(Outcome::Done);
     }
 
-    let folder = match &resumed {
-        Some(folder) => folder.clone(),
-        None => {
-            let out = run.out.as_deref().unwrap_or(Path::new(OUT));
-            Folder::create(out, TASK, run.overwrite)?
-        }
-    };
+    let folder = opened.folder(run, OUT, TASK)?;
     // Before the pictures, which take time: what is wrong with the network is said at once.
-    let classes = YoloDataset::open(settings.data()?).or_bad_input()?.names().to_vec();
-    let device = settings.learn.device.start(settings.learn.seed);
-    let (network, built) = match &config {
-        Some(config) if resumed.is_some() => {
-            let built: Built = recipe.network(config)?;
-            if built.classes != classes {
-                return Err(bad_input(format!(
-                    "the run was for the classes {}; the data now have {}",
-                    built.classes.join(", "),
-                    classes.join(", ")
-                )));
-            }
-            (built.network(settings.imgsz, &device)?, built)
+    let classes = settings.classes()?;
+    let mut origin = match opened.network::<Built>()? {
+        Some(built) => {
+            built.check_classes(&classes)?;
+            Origin::Run(built)
         }
-        _ => {
+        None => {
             let weights = settings.weights.as_deref();
-            let start = Start::open(&settings.model, weights, &classes, settings.imgsz, &device)?;
-            start.words.iter().for_each(|line| console.line(line));
-            (start.network, start.built)
+            Origin::New(Start::open(&settings.model, weights, classes.len(), settings.imgsz)?)
         }
     };
     let (train, val) = (settings.set("train")?, settings.set("val")?);
@@ -301,6 +330,16 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
         say("interrupted before the first step");
         return Ok(Outcome::Interrupted);
     }
+    let device = settings.learn.device.start(settings.learn.seed);
+    let (network, built) = match &mut origin {
+        Origin::New(start) => {
+            console.line(settings.fit(&mut start.config.anchors, &train));
+            let (network, built, words) = start.network(&classes, &device)?;
+            words.iter().for_each(|line| console.line(line));
+            (network, built)
+        }
+        Origin::Run(built) => (built.network(settings.imgsz, &device)?, built.clone()),
+    };
     let loss = DetectionLoss::new(network.config(), settings.loss.options());
     let samples = Arc::new(settings.samples(train, augment)?);
     let batch = sheet(&samples, settings.learn.seed, settings.learn.batch.min(BATCH_SHOWN))?;
@@ -310,11 +349,11 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
         Runtime::start(&RuntimeOptions { choice: EngineChoice::Rten, ..Default::default() });
     let task = DetectionTask::new(loader, loss, val, runtime);
     let options = settings.learn.options();
-    let trainer = match &resumed {
+    let trainer = match &opened.resumed {
         Some(folder) => {
             let path = folder.checkpoint();
             let trainer = Trainer::resume(task, network, options, device, &path).or_bad_input()?;
-            console.line(super::going_on(trainer.history().len(), trainer.options().epochs));
+            console.line(going_on(&trainer));
             trainer
         }
         None => {
@@ -323,7 +362,7 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
             Trainer::new(task, network, options, device)
         }
     };
-    if resumed.is_none() || super::changes(given) {
+    if opened.is_changed(given) {
         folder.write_args(&recipe::text(TASK, &settings, &augment, &built)?)?;
     }
     let device = settings.learn.device;

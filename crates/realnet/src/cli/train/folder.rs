@@ -1,6 +1,6 @@
 //! The folder of a run.
 
-use crate::cli::failure::{OrBadInput, bad_input};
+use crate::cli::failure::bad_input;
 use anyhow::{Context, Result};
 use realnet::{Frame, atomic, picture};
 use std::{
@@ -50,8 +50,7 @@ impl Folder {
             )));
         }
         std::fs::create_dir_all(path)
-            .with_context(|| format!("cannot create {}", path.display()))
-            .or_bad_input()?;
+            .with_context(|| format!("cannot create {}", path.display()))?;
         folder.probe()?;
         Ok(folder)
     }
@@ -92,7 +91,7 @@ impl Folder {
             match std::fs::remove_file(&path) {
                 Err(error) if error.kind() != ErrorKind::NotFound => {
                     let words = format!("cannot remove {}", path.display());
-                    return Err(anyhow::Error::new(error).context(words)).or_bad_input();
+                    return Err(anyhow::Error::new(error).context(words));
                 }
                 _ => {}
             }
@@ -102,7 +101,7 @@ impl Folder {
 
     /// Refuses a folder that cannot be written to.
     fn probe(&self) -> Result<()> {
-        atomic::Pending::new(&self.args()).map(drop).or_bad_input()
+        Ok(atomic::Pending::new(&self.args()).map(drop)?)
     }
 
     /// The folder.

@@ -29,19 +29,22 @@ impl<T> Given<T> {
     }
 }
 
-fn names(matches: &ArgMatches) -> BTreeSet<String> {
-    let said = |id: &&clap::Id| matches.value_source(id.as_str()) == Some(ValueSource::CommandLine);
-    matches.ids().filter(said).map(ToString::to_string).collect()
+/// Of the arguments alone: groups of them have ids, too.
+fn names<T: Args>(matches: &ArgMatches) -> BTreeSet<String> {
+    let command = T::augment_args(Command::new("arguments"));
+    let ids = command.get_arguments().map(|arg| arg.get_id().as_str());
+    let said = |id: &&str| matches.value_source(id) == Some(ValueSource::CommandLine);
+    ids.filter(said).map(str::to_owned).collect()
 }
 
-impl<T: FromArgMatches> FromArgMatches for Given<T> {
+impl<T: Args> FromArgMatches for Given<T> {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
-        Ok(Self { args: T::from_arg_matches(matches)?, names: names(matches) })
+        Ok(Self { args: T::from_arg_matches(matches)?, names: names::<T>(matches) })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
         self.args.update_from_arg_matches(matches)?;
-        self.names.extend(names(matches));
+        self.names.extend(names::<T>(matches));
         Ok(())
     }
 }

@@ -25,11 +25,9 @@ pub(super) struct RunArgs {
     #[arg(
         long,
         value_name = "DIR",
-        num_args = 0..=1,
-        default_missing_value = "",
         conflicts_with_all = ["config", "overwrite", "sheet"]
     )]
-    pub(super) resume: Option<PathBuf>,
+    pub(super) resume: Option<Option<PathBuf>>,
     /// Replace the run that the folder holds.
     #[arg(long)]
     pub(super) overwrite: bool,

@@ -37,6 +37,15 @@ pub(super) trait Learning {
     fn failures(&self, task: &Self::Task) -> Vec<Failure>;
 }
 
+/// What a run that goes on says first.
+pub(super) fn going_on<T: Task>(trainer: &Trainer<T>) -> String {
+    let (done, epochs) = (trainer.history().len(), trainer.options().epochs);
+    if done >= epochs {
+        return format!("all {epochs} epochs are done; --epochs N goes on to N");
+    }
+    format!("going on after epoch {done} of {epochs}")
+}
+
 /// A training that goes on.
 pub(super) struct Session<'a, L: Learning> {
     pub(super) learning: L,
@@ -157,29 +166,35 @@ It is {folder}/{} (to \
         Error::msg(format!("{}{hint}\n{}", words(&error), self.advice(whole)))
     }
 
+    /// The words for a training that has nothing to go on with: from the checkpoint it would
+    /// come to the same again.
+    fn diverged(&self, what: &str, whole: usize) -> Error {
+        let hint = if whole == 0 {
+            "start again with a smaller --lr or a longer --warmup-epochs".to_owned()
+        } else {
+            let folder = self.folder.path().display();
+            format!(
+                "start again with a smaller --lr, or train on from {folder}/{} with one; the \
+                 weights of epoch {whole} and the best ones are as they were",
+                folder::LAST
+            )
+        };
+        Error::msg(format!("the training diverged: {what}\n{hint}"))
+    }
+
     /// The words for a training that failed when `whole` epochs were in the checkpoint.
     fn failed(&self, error: TrainError, whole: usize) -> Error {
         let lost = |epoch: usize| format!("; epoch {} is lost", epoch + 1);
         match error {
             TrainError::Diverged { epoch, step, loss, lr } => {
-                let hint = if whole == 0 {
-                    "start again with a smaller --lr or a longer --warmup-epochs".to_owned()
-                } else {
-                    let folder = self.folder.path().display();
-                    // From the checkpoint it would come to the same again.
-                    format!(
-                        "start again with a smaller --lr, or train on from {folder}/{} with one; \
-                         the weights of epoch {whole} and the best ones are as they were",
-                        folder::LAST
-                    )
-                };
-                Error::msg(format!(
-                    "the training diverged: the loss is {loss} in step {} of epoch {} (learning \
-                     rate {lr:.3e})\n{hint}",
-                    step + 1,
-                    epoch + 1
-                ))
+                let (step, epoch) = (step + 1, epoch + 1);
+                let what = format!("the loss is {loss} in step {step} of epoch {epoch}");
+                self.diverged(&format!("{what} (learning rate {lr:.3e})"), whole)
             }
+            TrainError::NotFinite { epoch, name } => {
+                self.diverged(&format!("{name} is not finite after epoch {}", epoch + 1), whole)
+            }
+            error @ TrainError::Weights { .. } => self.with_advice(Error::new(error), "", whole),
             TrainError::Empty { epoch } => Error::msg(format!("epoch {} has no batch", epoch + 1)),
             TrainError::Data { epoch, source } => {
                 let error = Error::from_boxed(source).context(format!("in epoch {}", epoch + 1));

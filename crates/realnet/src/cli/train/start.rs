@@ -1,5 +1,6 @@
 //! The detector that a training begins with: a size by name, or weights.
 
+use super::weights;
 use crate::cli::failure::{OrBadInput, bad_input};
 use anyhow::{Context, Result};
 use burn::{module::Module, tensor::Device};
@@ -12,7 +13,7 @@ use realnet_train::{
     },
 };
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What distinguishes the form of older versions.
 const FOCUS: &str = "-focus";
@@ -32,7 +33,7 @@ pub(super) struct Built {
     /// Size and form, by name.
     model: String,
     /// Classes in order.
-    pub(super) classes: Vec<String>,
+    classes: Vec<String>,
     /// Pixels of the network's input, by stride, width and height each.
     anchors: [[[f32; 2]; ANCHORS]; 3],
 }
@@ -44,6 +45,18 @@ impl Built {
         let focus = if config.form == Form::V5 { FOCUS } else { "" };
         let model = format!("{name}{focus}");
         Self { model, classes: classes.to_vec(), anchors: config.anchors }
+    }
+
+    /// Refuses to go on with other classes.
+    pub(super) fn check_classes(&self, classes: &[String]) -> Result<()> {
+        if self.classes == classes {
+            return Ok(());
+        }
+        Err(bad_input(format!(
+            "the run is for the classes {}; the data now have {}",
+            self.classes.join(", "),
+            classes.join(", ")
+        )))
     }
 
     /// The same network with random weights, which a checkpoint replaces.
@@ -64,12 +77,11 @@ fn named(model: &str, classes: usize, imgsz: u32) -> Result<YoloV5Config> {
     Ok(YoloV5Config { form, ..YoloV5Config::new(size, classes, imgsz as usize) })
 }
 
-/// A network to begin with.
+/// A network to begin with, before its data are known.
 pub(super) struct Start {
-    pub(super) network: YoloV5,
-    pub(super) built: Built,
-    /// What it is and where its weights come from, for people.
-    pub(super) words: Vec<String>,
+    /// What it is to be built from; anchors may still change.
+    pub(super) config: YoloV5Config,
+    weights: Option<(PathBuf, Checkpoint)>,
 }
 
 impl Start {
@@ -77,78 +89,69 @@ impl Start {
     pub(super) fn open(
         model: &str,
         weights: Option<&Path>,
-        classes: &[String],
+        classes: usize,
         imgsz: u32,
-        device: &Device,
     ) -> Result<Self> {
         let by_name = is_name(model);
         let file = match weights {
+            Some(_) if !by_name => {
+                return Err(bad_input(
+                    "--weights is for a --model by name; weights as --model are enough",
+                ));
+            }
             Some(path) => Some(path),
             None if by_name => None,
             None => Some(Path::new(model)),
         };
-        if !by_name && weights.is_some() {
-            return Err(bad_input("--weights is for a --model by name; as --model it is enough"));
+        let Some(path) = file else {
+            return Ok(Self { config: named(model, classes, imgsz)?, weights: None });
+        };
+        let name = || path.display().to_string();
+        if !path.exists() && !by_name {
+            return Err(bad_input(format!(
+                "{model}: no such file, and not one of yolov5n, s, m, l, x, with or without \
+                 {FOCUS}"
+            )));
         }
-        let read = |path: &Path| {
-            let unknown = || {
-                let none = !by_name && !path.exists();
-                let hint = "no such file, and no yolov5n, s, m, l or x, or one with -focus";
-                format!(
-                    "{}{}",
-                    path.display(),
-                    if none { format!(": {hint}") } else { String::new() }
-                )
-            };
-            Checkpoint::read(path).with_context(unknown).or_bad_input()
+        let checkpoint = Checkpoint::read(path).with_context(name).or_bad_input()?;
+        let mut config = if by_name {
+            named(model, classes, imgsz)?
+        } else {
+            recognised(&checkpoint, classes, imgsz).with_context(name).or_bad_input()?
         };
-        let checkpoint = file.map(read).transpose()?;
-        let mut config = match (&checkpoint, file) {
-            (Some(checkpoint), Some(path)) if !by_name => {
-                recognised(checkpoint, classes.len(), imgsz)
-                    .with_context(|| path.display().to_string())
-                    .or_bad_input()?
-            }
-            _ => named(model, classes.len(), imgsz)?,
-        };
-        if let Some(anchors) = checkpoint.as_ref().and_then(anchors) {
+        if let Some(anchors) = anchors(&checkpoint) {
             config.anchors = anchors;
         }
-        let mut network = YoloV5::new(&config, device);
-        let built = Built::of(&config, classes);
-        let mut words = Vec::new();
-        if let (Some(checkpoint), Some(path)) = (&checkpoint, file) {
-            let (loaded, taken) = names::take(network, &checkpoint.tensors)
-                .with_context(|| path.display().to_string())
-                .or_bad_input()?;
-            network = loaded;
-            words = told(path, checkpoint, &taken, classes);
-        } else {
-            words.push("weights: random".to_owned());
-        }
+        Ok(Self { config, weights: Some((path.to_owned(), checkpoint)) })
+    }
+
+    /// The network; and what it is and where its weights come from, for people.
+    pub(super) fn network(
+        &self,
+        classes: &[String],
+        device: &Device,
+    ) -> Result<(YoloV5, Built, Vec<String>)> {
+        let mut network = YoloV5::new(&self.config, device);
+        let built = Built::of(&self.config, classes);
         let parameters = network.num_params() as f64 / 1e6;
-        words.insert(0, format!("{}: {parameters:.2} million parameters", built.model));
-        Ok(Self { network, built, words })
+        let mut words = vec![format!("{}: {parameters:.2} million parameters", built.model)];
+        match &self.weights {
+            Some((path, checkpoint)) => {
+                let name = || path.display().to_string();
+                let (loaded, taken) =
+                    names::take(network, &checkpoint.tensors).with_context(name).or_bad_input()?;
+                network = loaded;
+                words.extend(told(path, checkpoint, &taken, classes));
+            }
+            None => words.push("weights: random".to_owned()),
+        }
+        Ok((network, built, words))
     }
 }
 
-/// What became of the weights of a file.
+/// What became of the weights of a file, and whose classes are whose.
 fn told(path: &Path, checkpoint: &Checkpoint, taken: &Taken, classes: &[String]) -> Vec<String> {
-    let total = taken.taken + taken.missing.len() + taken.reshaped.len();
-    let mut words =
-        vec![format!("weights: {} of {total} tensors from {}", taken.taken, path.display())];
-    let mut list = |names: Vec<&String>, why: &str| {
-        let Some((first, rest)) = names.split_first() else { return };
-        let more = match rest.len() {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
-        words.push(format!("  {first}{more}: {why}"));
-    };
-    list(taken.reshaped.iter().collect(), "another shape in the file, random at the start");
-    list(taken.missing.iter().collect(), "not in the file, random at the start");
-    let known = |name: &&String| !name.contains("anchor");
-    list(taken.unused.iter().filter(known).collect(), "not in the network, left out");
+    let mut words = weights::told(path, taken);
     if let Some(names) = &checkpoint.class_names
         && names != classes
     {
@@ -157,11 +160,8 @@ fn told(path: &Path, checkpoint: &Checkpoint, taken: &Taken, classes: &[String])
         } else {
             "another number: the heads start at random"
         };
-        words.push(format!(
-            "  classes: the file has {}, the data {} ({heads})",
-            names.len(),
-            classes.len()
-        ));
+        let (file, data) = (names.len(), classes.len());
+        words.push(format!("  classes: the file has {file}, the data {data} ({heads})"));
     }
     words
 }
