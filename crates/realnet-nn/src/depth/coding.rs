@@ -295,9 +295,20 @@ mod tests {
     }
 
     #[test]
+    fn text_comes_back_to_the_bit() {
+        let third = DepthCoding { min: 1.0 / 3.0, focal: 207.6 / 0.7, ..DepthCoding::KITTI };
+        let narrow = DepthCoding { mean: [0.1, 1.0 / 3.0, 0.7], ..third };
+        for coding in [DepthCoding::default(), DepthCoding::KITTI, third, narrow] {
+            assert_eq!(DepthCoding::from_json(&coding.to_json()), Ok(coding));
+        }
+        assert!(DepthCoding::default().to_json().contains("[0.485,0.456,0.406]"));
+    }
+
+    #[test]
     fn absurd_numbers_are_named() {
         let good = DepthCoding::default();
         assert_eq!(good.check(), Ok(()));
+        assert_eq!(DepthCoding::KITTI.check(), Ok(()));
         for (bad, name) in [
             (DepthCoding { min: 0.0, ..good }, "min"),
             (DepthCoding { max: 0.005, ..good }, "max"),

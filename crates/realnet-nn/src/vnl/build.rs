@@ -44,9 +44,8 @@ pub(super) fn prefix(checkpoint: &Checkpoint) -> Option<&'static str> {
 }
 
 pub(super) fn build(checkpoint: &Checkpoint) -> Result<Graph, VnlError> {
-    let tensors = &checkpoint.tensors;
     let prefix = prefix(checkpoint).ok_or_else(|| VnlError::NotVnl {
-        tensors: tensors.len(),
+        tensors: checkpoint.tensors.len(),
         first: checkpoint.first_name(),
     })?;
     let mut parts = Parts { reader: Reader::new(checkpoint, prefix) };
@@ -278,7 +277,7 @@ impl Parts<'_> {
         Ok(Transfer { enter, middle, last })
     }
 
-    /// `channels` of the top; the lateral must have as many.
+    /// `channels` of the top, the lateral must have as many; `doubles`: it is twice as large.
     fn fusion(
         &mut self,
         path: &str,

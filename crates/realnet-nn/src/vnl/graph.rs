@@ -28,13 +28,13 @@ pub(super) enum Block {
     Bottleneck(Bottleneck),
 }
 
-/// What the decoder starts from, made of the last stage.
+/// What the decoder starts from, made of the last stage: `joined(branches side by side) +
+/// mean(pooled(means))`, the second one value a channel.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Top {
-    /// On the stage, side by side, and from them to the top; MobileNetV2 has none.
+    /// None for MobileNetV2, and then nothing to join.
     pub branches: Vec<Conv>,
     pub joined: Option<Conv>,
-    /// On the means of the stage, and from them to the top.
     pub pooled: Conv,
     pub mean: Conv,
 }

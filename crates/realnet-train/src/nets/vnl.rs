@@ -76,12 +76,15 @@ impl VnlConfig {
         let bins = predict.shape().first().copied();
         let bins = bins.filter(|bins| (1..=predict.data().len()).contains(bins))?;
         let has = |name: &str| weights.contains_key(&format!("encoder_modules.bottomup.{name}"));
-        let body = match () {
-            () if has("res1.0.0.weight") => VnlBody::MobileNetV2,
-            // The seventh block of stage 4.
-            () if has("res4.6.conv1.weight") => VnlBody::ResNext101,
-            () if has("res1.conv1.weight") => VnlBody::ResNext50,
-            () => return None,
+        let body = if has("res1.0.0.weight") {
+            VnlBody::MobileNetV2
+        } else if !has("res1.conv1.weight") {
+            return None;
+        } else if has("res4.6.conv1.weight") {
+            // It has a seventh block.
+            VnlBody::ResNext101
+        } else {
+            VnlBody::ResNext50
         };
         Some(Self { body, bins })
     }
@@ -129,10 +132,10 @@ struct Pool {
 }
 
 impl Pool {
-    fn new(channels: [usize; 2], momentum: f64, device: &Device) -> Self {
+    fn new(channels: [usize; 2], device: &Device) -> Self {
         Self {
             globalpool_conv1x1: plain(channels, Kernel::POINT, 1).init(device),
-            globalpool_bn: Normalisation { momentum, ..Normalisation::PYTORCH }
+            globalpool_bn: Normalisation { momentum: 0.9, ..Normalisation::PYTORCH }
                 .init(channels[1], device),
         }
     }
@@ -272,7 +275,7 @@ impl Vnl {
         let (bottomup, bottomup_top, parts) = match config.body {
             VnlBody::MobileNetV2 => {
                 let body = MobileNetV2::new(device);
-                (Body::Mobile(body), Top::Pool(Pool::new(top, 0.9, device)), 1)
+                (Body::Mobile(body), Top::Pool(Pool::new(top, device)), 1)
             }
             VnlBody::ResNext50 | VnlBody::ResNext101 => {
                 let blocks = if config.body == VnlBody::ResNext50 { 6 } else { 23 };

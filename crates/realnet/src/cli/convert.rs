@@ -21,7 +21,7 @@ pub(crate) struct ConvertArgs {
     /// The ONNX file to write [default: beside the weights].
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Input size in pixels: N or WIDTHxHEIGHT [default: 640 for YOLOv5, 256 for VNL, 256x192 for vnl-lite].
+    /// Input size in pixels: N or WIDTHxHEIGHT [default: 640 for YOLOv5, 256 for VNL (384 with ResNeXt), 256x192 for vnl-lite].
     #[arg(long, value_name = "N|WxH", value_parser = parse_size)]
     imgsz: Option<(u32, u32)>,
     /// Store the weights in 16 bits: half the file, computed in 32 bits all the same.
