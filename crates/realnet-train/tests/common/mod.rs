@@ -1,4 +1,4 @@
-#![allow(dead_code, unreachable_pub)]
+#![allow(dead_code, unreachable_pub, clippy::print_stdout)]
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
