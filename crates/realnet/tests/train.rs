@@ -10,7 +10,13 @@
 mod common;
 
 use common::{Run, command, finish, listing, realnet};
-use realnet::{Detector, Frame, Stamp, picture};
+use image::{ImageBuffer, Luma};
+use realnet::{
+    Detector, Frame, Stamp,
+    depth::{DepthCoding, DepthModel},
+    picture,
+    weights::Checkpoint,
+};
 use std::{
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
@@ -375,4 +381,125 @@ fn samples_can_be_looked_at() {
     let bright = frame.data().chunks_exact(3).filter(|p| p[0] > 150 && p[2] < 100).count();
     assert!(bright > 1000, "{bright}");
     assert!(!bench.path("run").exists(), "nothing was trained");
+}
+
+/// An RGB-D folder: a ramp that leans away at different angles, which its picture shows by
+/// its brightness.
+fn ramps(folder: &Path, count: u32) {
+    let mut dice = Dice(3);
+    for name in ["rgb", "depth"] {
+        std::fs::create_dir_all(folder.join(name)).unwrap();
+    }
+    for index in 0..count {
+        let [near, lean] = [800 + dice.below(1500), 10 + dice.below(30)];
+        let mm = |x: u32, y: u32| near + lean * (SIDE - y) + (x % 7) * 3;
+        let pixels = (0..SIDE * SIDE).flat_map(|at| {
+            let grey = (mm(at % SIDE, at / SIDE) / 20) as u8;
+            [grey, 255 - grey, 90]
+        });
+        let frame = Frame::rgb8(Stamp::ZERO, SIDE, SIDE, pixels.collect()).unwrap();
+        picture::write(&folder.join(format!("rgb/{index:03}.png")), &frame).unwrap();
+        ImageBuffer::<Luma<u16>, Vec<u16>>::from_fn(SIDE, SIDE, |x, y| Luma([mm(x, y) as u16]))
+            .save(folder.join(format!("depth/{index:03}.png")))
+            .unwrap();
+    }
+    std::fs::write(folder.join("intrinsics.txt"), "60 60 31.5 31.5\n").unwrap();
+}
+
+/// `train depth` with small numbers; of 20 pictures 4 are for validation.
+fn depth<'a>(data: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let small = ["--imgsz", "64", "--batch", "4", "--workers", "1", "--hold-out-block", "2"];
+    let small = small.chunks(2).filter(|pair| !more.contains(&pair[0])).flatten().copied();
+    let first = ["train", "depth", "--data", data, "--out", out];
+    first.into_iter().chain(small).chain(more.iter().copied()).collect()
+}
+
+#[cfg(unix)]
+#[test]
+fn depth_learns_goes_on_and_leaves_its_files() {
+    let folder = tempdir().unwrap();
+    let (data, path) = (folder.path().join("ramps"), |name: &str| folder.path().join(name));
+    ramps(&data, 20);
+    let (data, whole) = (data.display().to_string(), path("whole").display().to_string());
+    let more = ["--epochs", "3", "--warmup-epochs", "0", "--json"];
+    let run = realnet(&depth(&data, &whole, &more));
+    says(&run, 0, &["train: 16 of 16", "val: 4 of 4", "vnl-lite: 2.69 million parameters"]);
+    let found = epochs(&run.stdout);
+    let value = |epoch: &serde_json::Value, name: &str| epoch[name].as_f64().unwrap();
+    assert_eq!(found.len(), 3);
+    for name in ["loss", "wce"] {
+        assert!(value(&found[2], name) < 0.95 * value(&found[0], name), "{}", run.stdout);
+    }
+    assert!(found.iter().all(|epoch| (0.0..10.0).contains(&value(epoch, "abs_rel"))));
+    assert_eq!(listing(whole.as_ref()), FILES);
+    // The file says how its numbers are metres.
+    let coding = |name: &str| {
+        DepthModel::open(&path(name).join("best.onnx")).unwrap();
+        Checkpoint::read(path(name).join("best.safetensors")).unwrap().depth
+    };
+    let expected = DepthCoding { min: 0.02, max: 6.0, focal: 64.0, ..DepthCoding::default() };
+    assert_eq!(coding("whole"), Some(expected));
+
+    // One epoch or two, then the rest.
+    let parts = path("parts").display().to_string();
+    let words = depth(&data, &parts, &more);
+    let words: Vec<String> = words.iter().map(ToString::to_string).collect();
+    says(&interrupted(&words, "\"epoch\":1,"), 130, &["realnet train depth --resume"]);
+    says(&realnet(&["train", "depth", "--resume", &parts]), 0, &["going on after epoch"]);
+    for name in ["last.safetensors", "best.onnx", "results.csv"] {
+        assert_eq!(read(&path("whole").join(name)), read(&path("parts").join(name)), "{name}");
+    }
+
+    // Training on keeps what the file's numbers mean; other classes are other numbers.
+    let weights = path("whole/best.safetensors").display().to_string();
+    let on = path("on").display().to_string();
+    let more = ["--model", &weights, "--epochs", "1", "--imgsz", "96x64", "--normals-gain", "0"];
+    let run = realnet(&depth(&data, &on, &more));
+    says(&run, 0, &["weights: ", "80 classes of depth", "best.safetensors"]);
+    assert_eq!(coding("on"), Some(expected));
+    let run = realnet(&depth(
+        &data,
+        &path("x").display().to_string(),
+        &["--model", &weights, "--bins", "9"],
+    ));
+    says(&run, 2, &["--bins 9: the weights have 80"]);
+}
+
+#[test]
+fn bad_depth_data_are_told_before_the_first_step() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    ramps(&path("ramps"), 20);
+    let (data, out) = (path("ramps").display().to_string(), path("run").display().to_string());
+    let unknown = ImageBuffer::<Luma<u16>, Vec<u16>>::new(SIDE, SIDE);
+    unknown.save(path("ramps/depth/001.png")).unwrap();
+    std::fs::write(path("ramps/rgb/002.png"), "no picture").unwrap();
+    std::fs::remove_file(path("ramps/depth/003.png")).unwrap();
+    let sheet = path("sheet.png").display().to_string();
+    let run = realnet(&depth(&data, &out, &["--sheet", &sheet, "--sheet-count", "3"]));
+    says(
+        &run,
+        0,
+        &["depth maps know no depth at all", "001.png", "pictures are broken", "002.png"],
+    );
+    let frame = picture::read(sheet.as_ref()).unwrap();
+    assert_eq!((frame.width(), frame.height()), (6 * SIDE + 2 * 4, SIDE));
+    assert!(!path("run").exists(), "nothing was trained");
+
+    let refused = |more: &[&str], words: &[&str]| {
+        let run = realnet(&depth(&data, &out, more));
+        says(&run, 2, words);
+        assert!(!path("run/args.toml").exists());
+    };
+    refused(&["--hold-out-every", "50"], &["val of ", "--hold-out-every", "nothing to learn from"]);
+    refused(&["--focal", "0"], &["focal is 0"]);
+    refused(
+        &["--min-depth", "5", "--max-depth", "2"],
+        &["max is 0.2, it must be greater than min"],
+    );
+    refused(&["--model", "vnl"], &["vnl: no such file, and not one of vnl-lite, vnl-mobilenetv2"]);
+    refused(&["--augment", "mosaic=1"], &["there is no 'mosaic'; there are", "zoom"]);
+    refused(&["--model", "vnl-resnext50", "--weights", "none.pt"], &["none.pt"]);
+    std::fs::remove_file(path("ramps/intrinsics.txt")).unwrap();
+    refused(&[], &["the camera is not known", "intrinsics.txt"]);
 }

@@ -2,12 +2,15 @@
 
 use crate::cli::{interrupt, progress};
 use burn::module::Module;
-use indicatif::{FormattedDuration, ProgressBar};
+use indicatif::{FormattedDuration, ProgressBar, ProgressStyle};
 use realnet_train::trainer::{EpochReport, Observer, StepReport, TrainError};
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
 };
+
+/// The epoch, its steps and what is left of it; then rate, what is left of all, losses.
+const TEMPLATE: &str = "{prefix} {bar:20} {pos}/{len} eta {eta} {wide_msg}";
 
 /// Follows the steps, ends the training after each epoch so that its files can be written,
 /// and after the step in which Ctrl-C came.
@@ -43,15 +46,15 @@ impl Watch {
     fn words(&self, report: &StepReport<'_>) -> String {
         let StepReport { epoch, step, steps, parts, .. } = *report;
         let parts = self.parts.iter().zip(parts);
-        let mut words: String = parts.map(|(name, value)| format!("{name} {value:.4} ")).collect();
+        let losses: String = parts.map(|(name, value)| format!(" {name} {value:.4}")).collect();
         if step + 1 == steps {
-            return words + "validation";
+            return format!("validation {losses}");
         }
         let Some((first, since)) = self.since.filter(|(first, _)| step > *first) else {
-            return words;
+            return losses;
         };
         let a_step = since.elapsed().as_secs_f64() / (step - first) as f64;
-        words += &format!("{:.1} samples/s", self.batch as f64 / a_step.max(1e-9));
+        let rate = self.batch as f64 / a_step.max(1e-9);
         let an_epoch = match self.took {
             (_, 0) => a_step * steps as f64,
             (seconds, count) => seconds / f64::from(count),
@@ -59,18 +62,20 @@ impl Watch {
         let left = self.epochs.saturating_sub(epoch + 1) as f64 * an_epoch
             + a_step * (steps - step) as f64;
         // Beyond what is a time at all nothing is said.
-        if let Ok(left) = Duration::try_from_secs_f64(left) {
-            words += &format!(" all {}", FormattedDuration(left));
-        }
-        words
+        let all = Duration::try_from_secs_f64(left);
+        let all =
+            all.map_or_else(|_| String::new(), |left| format!(" all {}", FormattedDuration(left)));
+        format!("{rate:.1} pictures/s{all} {losses}")
     }
 }
 
 impl<M: Module> Observer<M> for Watch {
     fn step(&mut self, report: &StepReport<'_>) -> ControlFlow<()> {
         if self.since.is_none() {
-            self.bar = progress::bar(Some(report.steps as u64), "epoch");
-            self.bar.set_prefix(format!("{}/{}", report.epoch + 1, self.epochs));
+            let style = ProgressStyle::with_template(TEMPLATE);
+            let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+            let bar = progress::bar(Some(report.steps as u64), "epoch").with_style(style);
+            self.bar = bar.with_prefix(format!("{}/{}", report.epoch + 1, self.epochs));
             self.since = Some((report.step, Instant::now()));
         }
         self.bar.set_message(self.words(report));
