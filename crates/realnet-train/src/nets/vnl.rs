@@ -70,12 +70,13 @@ impl VnlConfig {
     /// What weights under the authors' names were built from; `None` if they are others.
     #[must_use]
     pub fn of(weights: &Tensors) -> Option<Self> {
-        let weights = own_names(weights);
-        let predict = weights.get(PREDICT)?;
+        let prefix = prefix(weights);
+        let predict = weights.get(&format!("{prefix}{PREDICT}"))?;
         // As many as there are numbers for, whatever the shape says.
         let bins = predict.shape().first().copied();
         let bins = bins.filter(|bins| (1..=predict.data().len()).contains(bins))?;
-        let has = |name: &str| weights.contains_key(&format!("encoder_modules.bottomup.{name}"));
+        let body = format!("{prefix}encoder_modules.bottomup");
+        let has = |name: &str| weights.contains_key(&format!("{body}.{name}"));
         let body = if has("res1.0.0.weight") {
             VnlBody::MobileNetV2
         } else if !has("res1.conv1.weight") {
@@ -104,13 +105,21 @@ const PREDICT: &str = "decoder_modules.topdown_predict.conv1.weight";
 /// What may stand before all names: the network as a part of the authors' training program.
 const PREFIX: &str = "depth_model.";
 
+fn prefix(weights: &Tensors) -> &'static str {
+    let prefixed = weights.keys().any(|name| name.starts_with(PREFIX));
+    if prefixed { PREFIX } else { "" }
+}
+
 /// The weights without what stands before all names.
 fn own_names(weights: &Tensors) -> Cow<'_, Tensors> {
-    if !weights.keys().all(|name| name.starts_with(PREFIX)) {
+    let prefix = prefix(weights);
+    if prefix.is_empty() {
         return Cow::Borrowed(weights);
     }
-    let own = |name: &str| name.strip_prefix(PREFIX).unwrap_or(name).to_owned();
-    Cow::Owned(weights.iter().map(|(name, tensor)| (own(name), tensor.clone())).collect())
+    let own = weights
+        .iter()
+        .filter_map(|(name, tensor)| Some((name.strip_prefix(prefix)?.to_owned(), tensor.clone())));
+    Cow::Owned(own.collect())
 }
 
 /// A convolution without bias; its taps are `dilation` pixels apart.
