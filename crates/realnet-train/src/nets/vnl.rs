@@ -205,9 +205,9 @@ impl Pyramid {
         let mut parts: Vec<Tensor<4>> =
             branches.into_iter().map(|(conv, bn)| bn.forward(conv.forward(x.clone()))).collect();
         let [_, _, height, width] = x.dims();
-        let mean = self.globalpool_bn.forward(self.globalpool_conv1x1.forward(mean(x)));
-        let [batch, channels, _, _] = mean.dims();
-        parts.push(mean.expand([batch, channels, height, width]));
+        let pooled = self.globalpool_bn.forward(self.globalpool_conv1x1.forward(mean(x)));
+        let [batch, channels, _, _] = pooled.dims();
+        parts.push(pooled.expand([batch, channels, height, width]));
         Tensor::cat(parts, 1)
     }
 }
@@ -273,33 +273,28 @@ impl Vnl {
     /// Random weights, PyTorch's initialisation.
     #[must_use]
     pub fn new(config: &VnlConfig, device: &Device) -> Self {
-        // Channels of the stages, the last first, of the laterals on them, and of the rest.
-        let (stages, laterals, rest) = match config.body {
-            VnlBody::MobileNetV2 => ([320, 96, 32, 24], [128, 64, 64, 64], 64),
-            VnlBody::ResNext50 | VnlBody::ResNext101 => {
-                ([2048, 1024, 512, 256], [512, 256, 256, 256], 256)
-            }
+        // Channels of the stages, the last first, of the laterals on them, and of the rest; blocks
+        // of a ResNeXt's stage 4.
+        let resnext = ([2048, 1024, 512, 256], [512, 256, 256, 256], 256);
+        let ((stages, laterals, rest), blocks) = match config.body {
+            VnlBody::MobileNetV2 => (([320, 96, 32, 24], [128, 64, 64, 64], 64), None),
+            VnlBody::ResNext50 => (resnext, Some(6)),
+            VnlBody::ResNext101 => (resnext, Some(23)),
         };
         let top = [stages[0], laterals[0]];
-        let (bottomup, bottomup_top, parts) = match config.body {
-            VnlBody::MobileNetV2 => {
-                let body = MobileNetV2::new(device);
-                (Body::Mobile(body), Top::Pool(Pool::new(top, device)), 1)
-            }
-            VnlBody::ResNext50 | VnlBody::ResNext101 => {
-                let blocks = if config.body == VnlBody::ResNext50 { 6 } else { 23 };
-                let body = ResNext::new([3, 4, blocks, 3], device);
-                (Body::ResNext(body), Top::Pyramid(Pyramid::new(top, device)), 5)
-            }
+        let (bottomup, bottomup_top, parts) = if let Some(blocks) = blocks {
+            let body = ResNext::new([3, 4, blocks, 3], device);
+            (Body::ResNext(body), Top::Pyramid(Pyramid::new(top, device)), 5)
+        } else {
+            (Body::Mobile(MobileNetV2::new(device)), Top::Pool(Pool::new(top, device)), 1)
         };
-        let blocks = stages.into_iter().zip(laterals);
-        let blocks =
-            blocks.map(|(from, to)| Lateral { lateral: Transfer::new([from, to], device) });
+        let sides = stages.into_iter().zip(laterals);
+        let sides = sides.map(|(from, to)| Lateral { lateral: Transfer::new([from, to], device) });
         Self {
             encoder_modules: Encoder {
                 bottomup,
                 bottomup_top,
-                topdown_lateral_modules: blocks.collect(),
+                topdown_lateral_modules: sides.collect(),
             },
             decoder_modules: Decoder::new(parts, laterals[0], rest, config.bins, device),
             config: *config,
