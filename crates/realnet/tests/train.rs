@@ -6,6 +6,8 @@
     clippy::panic,
     clippy::print_stdout
 )]
+// Signals and limits are those of Unix.
+#![cfg_attr(not(unix), allow(dead_code, unused_imports))]
 
 mod common;
 
@@ -409,6 +411,7 @@ fn ramps(folder: &Path, count: u32) {
 /// `train depth` with small numbers; of 20 pictures 4 are for validation.
 fn depth<'a>(data: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     let small = ["--imgsz", "64", "--batch", "4", "--workers", "1", "--hold-out-block", "2"];
+    let small = [&small[..], &["--depth-scale", "1000"]].concat();
     let small = small.chunks(2).filter(|pair| !more.contains(&pair[0])).flatten().copied();
     let first = ["train", "depth", "--data", data, "--out", out];
     first.into_iter().chain(small).chain(more.iter().copied()).collect()
@@ -423,11 +426,21 @@ fn depth_learns_goes_on_and_leaves_its_files() {
     let (data, whole) = (data.display().to_string(), path("whole").display().to_string());
     let more = ["--epochs", "3", "--warmup-epochs", "0", "--json"];
     let run = realnet(&depth(&data, &whole, &more));
-    says(&run, 0, &["train: 16 of 16", "val: 4 of 4", "vnl-lite: 2.69 million parameters"]);
+    says(
+        &run,
+        0,
+        &[
+            "train: 16 of 16",
+            "val: 4 of 4",
+            "vnl-lite: 2.69 million parameters",
+            "0.0 % lie outside of the classes",
+        ],
+    );
     let found = epochs(&run.stdout);
     let value = |epoch: &serde_json::Value, name: &str| epoch[name].as_f64().unwrap();
     assert_eq!(found.len(), 3);
-    for name in ["loss", "wce"] {
+    for name in ["loss", "wce", "normals"] {
+        assert!(value(&found[2], name) > 0.0);
         assert!(value(&found[2], name) < 0.95 * value(&found[0], name), "{}", run.stdout);
     }
     assert!(found.iter().all(|epoch| (0.0..10.0).contains(&value(epoch, "abs_rel"))));
@@ -455,7 +468,11 @@ fn depth_learns_goes_on_and_leaves_its_files() {
     let on = path("on").display().to_string();
     let more = ["--model", &weights, "--epochs", "1", "--imgsz", "96x64", "--normals-gain", "0"];
     let run = realnet(&depth(&data, &on, &more));
-    says(&run, 0, &["weights: ", "80 classes of depth", "best.safetensors"]);
+    says(
+        &run,
+        0,
+        &["weights: ", "depth: 80 classes from 0.200 to 60.0 m for a focal length of 64 px"],
+    );
     assert_eq!(coding("on"), Some(expected));
     let run = realnet(&depth(
         &data,

@@ -145,3 +145,13 @@ fn broken_ort_libraries_fall_back_with_one_line() {
     let says = if cfg!(target_os = "linux") { "file too short" } else { "" };
     assert!(entry["reason"].as_str().unwrap().contains(says), "{value}");
 }
+
+#[cfg(not(feature = "train"))]
+#[test]
+fn training_that_was_not_built_in_says_how_to_get_it() {
+    for args in [&["train"][..], &["train", "detect", "--data", "data.yaml", "--epochs", "3"]] {
+        let run = realnet(args);
+        assert_eq!(run.code, Some(2), "{run:#?}");
+        assert!(run.stderr.contains("--features train"), "{run:#?}");
+    }
+}

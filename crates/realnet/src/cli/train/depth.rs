@@ -21,10 +21,13 @@ use crate::cli::{
 use anyhow::{Context, Result};
 use burn::tensor::Device;
 use clap::{Args, ValueEnum};
-use realnet::{Frame, depth::DepthCoding, eval::DepthProtocol, onnx::OnnxOptions, picture};
+use realnet::{
+    DepthMap, Frame, depth::DepthCoding, eval::DepthProtocol, onnx::OnnxOptions, picture,
+};
 use realnet_data::{
-    CanonicalFocal, DepthAugment, DepthPart, DepthSamples, DepthSet, DepthSetOptions, Failure,
-    HoldOut, Loader, LoaderOptions, Normalization, Samples, SheetOptions, SourceList, depth_sheet,
+    CanonicalFocal, DepthAugment, DepthPart, DepthSample, DepthSamples, DepthSet, DepthSetOptions,
+    Failure, HoldOut, Loader, LoaderOptions, Normalization, Samples, SheetOptions, SourceList,
+    depth_sheet,
 };
 use realnet_train::{
     export::{depth_checkpoint, depth_onnx, safetensors},
@@ -75,6 +78,10 @@ struct DepthSettings {
     /// Size of the network's input, width and height in pixels.
     #[arg(long, value_name = "WxH", default_value_t = Size { width: 256, height: 192 })]
     imgsz: Size,
+    /// Depth units a metre of a folder; a list says it for each source [default: by the
+    /// layout: 1000, 5000 or 256].
+    #[arg(long, value_name = "UNITS")]
+    depth_scale: Option<f64>,
     /// Of a folder, one block in N is for validation; a list says it for each source.
     #[arg(long, value_name = "N", default_value_t = 5)]
     hold_out_every: usize,
@@ -217,6 +224,9 @@ impl DepthSettings {
             check("focal", focal, (0.05..=20.0).contains(&focal), "from 0.05 to 20 widths")?;
         }
         check("cap", cap, cap > 0.001, "above 0.001 m")?;
+        if let Some(scale) = self.depth_scale {
+            check("depth_scale", scale, (1e-3..=1e6).contains(&scale), "from 0.001 to 1000000")?;
+        }
         let (every, block) = (self.hold_out_every, self.hold_out_block);
         check("hold_out_every", every as f64, every >= 2, "2 or more")?;
         check("hold_out_block", block as f64, block >= 1, "1 or more")?;
@@ -279,7 +289,10 @@ impl DepthSettings {
             let (block, every) = (self.hold_out_block, self.hold_out_every);
             list.sources.iter_mut().for_each(|source| {
                 source.hold_out = Some(HoldOut { block, every });
+                source.depth_scale = self.depth_scale;
             });
+        } else if self.depth_scale.is_some() {
+            return Err(bad_input("--depth-scale is for a folder; a list has depth_scale itself"));
         }
         Ok(list)
     }
@@ -345,10 +358,33 @@ impl<N: DepthNet> Learning for Depth<N> {
     }
 }
 
-fn sheet(samples: &DepthSamples, coding: &DepthCoding, seed: u32, count: usize) -> Result<Frame> {
-    let made = first(samples, seed, count)?;
+fn sheet(samples: &[DepthSample], coding: &DepthCoding) -> Result<Frame> {
     let options = SheetOptions { columns: 3, ..SheetOptions::default() };
-    Ok(depth_sheet(&made, &normalization(coding), &options)?)
+    Ok(depth_sheet(samples, &normalization(coding), &options)?)
+}
+
+/// What the classes of depth are, and whether they are those of the data. A wrong number of
+/// units a metre is seen by the median.
+fn range_words(loss: &DepthLoss, samples: &[DepthSample]) -> String {
+    let DepthCoding { min, max, scale, focal, .. } = loss.options().coding;
+    let (mut metres, mut outside) = (Vec::new(), 0_usize);
+    for sample in samples {
+        for depth in sample.depth.iter().filter(|depth| DepthMap::is_known(**depth)) {
+            metres.push(depth * sample.metres_per_unit);
+            outside += usize::from(loss.label(*depth).is_none());
+        }
+    }
+    metres.sort_unstable_by(f32::total_cmp);
+    format!(
+        "depth: {} classes from {:.3} to {:.1} m for a focal length of {focal:.0} px; of the first \
+         {} samples the median is {:.2} m, and {:.1} % lie outside of the classes",
+        loss.options().bins,
+        min * scale,
+        max * scale,
+        samples.len(),
+        metres.get(metres.len() / 2).copied().unwrap_or_default(),
+        100.0 * outside as f64 / metres.len().max(1) as f64
+    )
 }
 
 fn normalization(coding: &DepthCoding) -> Normalization {
@@ -368,15 +404,13 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
     augment.check().or_bad_input()?;
     let mut console = Console::new(run.json);
 
-    let built: Option<Built> = opened.network()?;
-    let start = match &built {
-        Some(_) => None,
-        None => Some(Start::open(&settings.model, settings.weights.as_deref())?),
-    };
-    let (network, coding) = match (&built, &start) {
-        (Some(built), _) => built.read()?,
-        (None, Some(start)) => settings.coding(start)?,
-        (None, None) => return Err(bad_input("no network")),
+    let (start, (network, coding)) = match opened.network::<Built>()? {
+        Some(built) => (None, built.read()?),
+        None => {
+            let start = Start::open(&settings.model, settings.weights.as_deref())?;
+            let coding = settings.coding(&start)?;
+            (Some(start), coding)
+        }
     };
     settings.check_size(&network)?;
     let canonical = CanonicalFocal::new(coding.focal).or_bad_input()?;
@@ -391,7 +425,7 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
     if let Some(path) = &run.sheet {
         let set = settings.set(&sources, DepthPart::Train)?;
         data::tell(&mut console, "train", set.report());
-        let frame = sheet(&training(set)?, &coding, seed, run.sheet_count)?;
+        let frame = sheet(&first(&training(set)?, seed, run.sheet_count)?, &coding)?;
         picture::write(path, &frame).or_bad_input()?;
         say(format!("{}: samples as the network is shown them", path.display()));
         return Ok(Outcome::Done);
@@ -408,7 +442,10 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
     }
     let batch = settings.learn.batch;
     let samples = Arc::new(training(train)?);
-    let shown = sheet(&samples, &coding, seed, batch.min(BATCH_SHOWN))?;
+    let loss = settings.loss(&network, coding);
+    let made = first(&*samples, seed, batch.min(BATCH_SHOWN))?;
+    console.line(range_words(&loss, &made));
+    let shown = sheet(&made, &coding)?;
     // The loss is a mean: the few samples of a last batch would weigh more than the others.
     let drop_last = samples.len() >= batch;
     let options = LoaderOptions { drop_last, ..settings.learn.loader() };
@@ -424,7 +461,7 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
         console: &mut console,
         coding,
         settings: &settings,
-        loss: settings.loss(&network, coding),
+        loss,
         loader,
         validation,
         shown,

@@ -310,7 +310,6 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
         return Ok(Outcome::Done);
     }
 
-    let folder = opened.folder(run, OUT, TASK)?;
     // Before the pictures, which take time: what is wrong with the network is said at once.
     let classes = settings.classes()?;
     let mut origin = match opened.network::<Built>()? {
@@ -323,6 +322,7 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
             Origin::New(Start::open(&settings.model, weights, classes.len(), settings.imgsz)?)
         }
     };
+    let folder = opened.folder(run, OUT, TASK)?;
     let (train, val) = (settings.set("train")?, settings.set("val")?);
     data::tell(&mut console, "train", train.report());
     data::tell(&mut console, "val", val.report());

@@ -141,19 +141,17 @@ impl Start {
     /// file.
     pub(super) fn open(model: &str, weights: Option<&Path>) -> Result<Self> {
         let named = Network::named(model);
-        let path = match (weights, &named) {
-            (Some(_), None) => {
+        let path = match (named, weights) {
+            (Some(network), None) => {
+                return Ok(Self { network, coding: None, is_fixed: false, weights: None });
+            }
+            (Some(_), Some(path)) => path,
+            (None, None) => Path::new(model),
+            (None, Some(_)) => {
                 return Err(bad_input(
                     "--weights is for a --model by name; weights as --model are enough",
                 ));
             }
-            (Some(path), _) => Some(path),
-            (None, Some(_)) => None,
-            (None, None) => Some(Path::new(model)),
-        };
-        let Some(path) = path else {
-            let network = named.ok_or_else(|| bad_input("no network"))?;
-            return Ok(Self { network, coding: None, is_fixed: false, weights: None });
         };
         if !path.exists() && named.is_none() {
             let names = BODIES.map(|(name, _)| name).join(", ");
@@ -186,10 +184,7 @@ impl Start {
     pub(super) fn fill<N: DepthNet>(&self, network: N) -> Result<(N, Vec<String>)> {
         let parameters = network.num_params() as f64 / 1e6;
         let name = self.network.name();
-        let mut words = vec![format!(
-            "{name}: {parameters:.2} million parameters, {} classes of depth",
-            self.network.bins()
-        )];
+        let mut words = vec![format!("{name}: {parameters:.2} million parameters")];
         let Some((path, tensors)) = &self.weights else {
             words.push("weights: random".to_owned());
             return Ok((network, words));

@@ -45,9 +45,9 @@ impl Table {
     pub(super) fn row(&self, report: &EpochReport, seconds: f64) -> String {
         let epoch = format!("{}/{}", report.epoch + 1, self.epochs);
         let values = self.columns(report);
-        let values = values.iter().map(|(name, value)| match name.as_str() {
-            "lr" => format!(" {value:>9.2e}"),
-            _ => format!(" {value:>9.4}"),
+        let values = values.iter().map(|(_, value)| {
+            let small = *value != 0.0 && value.abs() < 0.01;
+            if small { format!(" {value:>9.2e}") } else { format!(" {value:>9.4}") }
         });
         let best = if report.best { "  best" } else { "" };
         format!("{epoch:>11}{} {seconds:>9.1}{best}", values.collect::<String>())
