@@ -135,10 +135,9 @@ fn says(run: &Run, code: i32, words: &[&str]) {
     }
 }
 
-/// Starts a run, waits for a line with `word` on its standard output, sends the signal of
-/// Ctrl-C and waits for the end.
-#[cfg(unix)]
-fn interrupted(args: &[String], word: &str) -> Run {
+/// Starts a run, waits for a line with `word` on its standard output, does something to it,
+/// and waits for the end.
+fn after(args: &[String], word: &str, act: impl FnOnce(u32)) -> Run {
     let mut child =
         command().args(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut reader = BufReader::new(child.stdout.take().unwrap());
@@ -146,12 +145,20 @@ fn interrupted(args: &[String], word: &str) -> Run {
     while !stdout.lines().any(|line| line.contains(word)) {
         assert!(reader.read_line(&mut stdout).unwrap() > 0, "{stdout}");
     }
-    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(sent.success());
+    act(child.id());
     reader.read_to_string(&mut stdout).unwrap();
     let output = child.wait_with_output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
     Run { code: output.status.code(), stdout, stderr }
+}
+
+/// A run that gets the signal of Ctrl-C after that line.
+#[cfg(unix)]
+fn interrupted(args: &[String], word: &str) -> Run {
+    after(args, word, |pid| {
+        let sent = Command::new("kill").args(["-INT", &pid.to_string()]).status().unwrap();
+        assert!(sent.success());
+    })
 }
 
 #[test]
@@ -359,6 +366,25 @@ fn bad_data_are_told_before_the_first_step() {
     // A file in the way of the folder is no fault of the data.
     std::fs::write(bench.path("file"), "in the way").unwrap();
     says(&realnet(&bench.detect("file/below", &[])), 1, &["file/below"]);
+}
+
+#[test]
+fn a_picture_that_breaks_later_costs_itself() {
+    let bench = Bench::new(16);
+    let args = bench.detect("run", &["--cache", "0", "--epochs", "3", "--batch", "4"]);
+    let run = after(&args, "1/3", |_| {
+        std::fs::write(bench.path("images/train/003.png"), "broken now").unwrap();
+    });
+    says(&run, 0, &["warning: 1 pictures cannot be read any more", "3/3"]);
+    // Many mosaics want it, but it is one file.
+    let named = run.stderr.lines().filter(|line| line.contains("003.png")).count();
+    assert_eq!(named, 1, "{}", run.stderr);
+    // One of the validation would be missing in the figures: that is an error.
+    let args = bench.detect("run", &["--cache", "0", "--epochs", "3", "--overwrite"]);
+    let run = after(&args, "1/3", |_| {
+        std::fs::write(bench.path("images/val/003.png"), "broken now").unwrap();
+    });
+    says(&run, 1, &["in epoch ", "val/003.png", "go on: ", "--resume"]);
 }
 
 #[test]

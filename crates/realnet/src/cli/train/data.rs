@@ -46,7 +46,7 @@ fn listed(items: &[impl std::fmt::Display]) {
     }
 }
 
-/// Samples that could not be made in training: each is named once.
+/// Pictures of which no samples could be made in training: each is named once.
 #[derive(Debug, Default)]
 pub(super) struct Failures {
     named: BTreeSet<PathBuf>,
@@ -64,7 +64,8 @@ impl Failures {
             return;
         }
         say(format!(
-            "warning: {} samples could not be made; each time the next one took its place",
+            "warning: {} pictures cannot be read any more; for each sample of one there is the \
+             next sample twice",
             new.len()
         ));
         listed(&new);

@@ -101,7 +101,8 @@ pub(super) struct LearnArgs {
     /// Threads that make samples; 0 for one a core. The result does not depend on it.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(super) workers: usize,
-    /// Pictures that are kept decoded in memory, GB; the rest is decoded each time.
+    /// Pictures of train, and of val, that are kept decoded in memory, GB each; the rest is
+    /// decoded each time.
     #[arg(long, value_name = "GB", default_value_t = 2.0)]
     pub(super) cache: f64,
 }
