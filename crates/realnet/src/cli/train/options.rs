@@ -14,11 +14,12 @@ use std::{fmt, path::PathBuf};
 
 /// Where a run reads and writes. None of it changes the result.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Run")]
 pub(super) struct RunArgs {
     /// A TOML file with options, such as another run's args.toml; the command line wins.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// The folder of the results.
+    /// The folder of the results [default: runs/detect, runs/depth].
     #[arg(long, value_name = "DIR")]
     pub(super) out: Option<PathBuf>,
     /// Go on with a run: its folder or its last.ckpt [default: the folder of --out].
