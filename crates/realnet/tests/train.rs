@@ -205,12 +205,17 @@ fn a_detector_learns_and_leaves_its_files() {
     for name in ["last.safetensors", "best.safetensors", "best.onnx", "results.csv"] {
         assert_eq!(read(&out.join(name)), read(&bench.path("runs/two").join(name)), "{name}");
     }
-    let other = [&again[..], &["--seed", "5", "--epochs", "1", "--overwrite"]].concat();
-    let run = realnet(&other);
+    let other = ["--seed", "5", "--epochs", "1", "--optimizer", "sgd", "--overwrite"];
+    let run = realnet(&[&again[..], &other].concat());
     says(&run, 0, &[]);
     assert_eq!(epochs(&run.stdout).len(), 1);
     assert_ne!(loss(&epochs(&run.stdout)[0]), loss(&found[0]));
     assert_eq!(listing(&bench.path("runs/two")), FILES);
+    let options = String::from_utf8(read(&bench.path("runs/two/args.toml"))).unwrap();
+    // The rate of the file was for another optimiser.
+    for line in ["epochs = 1", "seed = 5", "optimizer = \"sgd\"", "lr = 0.01", "mosaic = 0"] {
+        assert!(options.lines().any(|own| own.starts_with(line)), "{line}: {options}");
+    }
 
     // Training on from weights, with other classes.
     bench.yaml("names: [square, ring]");

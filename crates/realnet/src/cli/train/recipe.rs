@@ -17,6 +17,10 @@ const VERSION: &str = "version";
 const AUGMENT: &str = "augment";
 const NETWORK: &str = "network";
 
+/// An option on which others depend, and these.
+const OPTIMIZER: &str = "optimizer";
+const OF_OPTIMIZER: [&str; 3] = ["lr", "momentum", "weight_decay"];
+
 /// A file of options.
 #[derive(Debug, Default)]
 pub(super) struct Recipe {
@@ -64,7 +68,8 @@ impl Recipe {
 
     /// The options of the file, where they are not on the command line, else those of there.
     ///
-    /// `path` is the file; its `paths` are taken relative to its folder.
+    /// `path` is that of the file, for errors. Another optimiser than the file's has its own
+    /// rates.
     pub(super) fn merged<S, T>(&self, settings: &S, given: &Given<T>, path: &Path) -> Result<S>
     where
         S: Args + Serialize + DeserializeOwned,
@@ -72,6 +77,8 @@ impl Recipe {
         let command = S::augment_args(Command::new("options"));
         let known: Vec<&str> = command.get_arguments().map(|arg| arg.get_id().as_str()).collect();
         let mut table = Table::try_from(settings)?;
+        let is_other = given.has(OPTIMIZER)
+            && self.options.get(OPTIMIZER).is_some_and(|own| Some(own) != table.get(OPTIMIZER));
         for (key, value) in &self.options {
             if !known.contains(&key.as_str()) {
                 return Err(bad_input(format!(
@@ -80,7 +87,7 @@ impl Recipe {
                     known.join(", ")
                 )));
             }
-            if given.has(key) {
+            if given.has(key) || is_other && OF_OPTIMIZER.contains(&key.as_str()) {
                 continue;
             }
             // By itself, so that the error has its name.
