@@ -95,13 +95,13 @@ impl Schedule {
     }
 }
 
-/// Clips the gradients so that their norm, over all parameters together, is at most `limit`.
-/// The norm that they had.
+/// Clips the gradients so that their norm, over all parameters together, is at most `limit`,
+/// if that is above 0. The norm that they had.
 pub fn clip_norm<M: Module>(module: &M, gradients: &mut GradientsParams, limit: f64) -> f64 {
     let mut squares = Squares { gradients, sum: 0.0 };
     module.visit(&mut squares);
     let norm = squares.sum.sqrt();
-    if norm > limit {
+    if limit > 0.0 && norm > limit {
         module.visit(&mut Scaled { gradients, factor: limit / norm });
     }
     norm

@@ -44,6 +44,10 @@ pub trait Task {
         device: &Device,
     ) -> (Tensor<1>, Vec<f32>);
 
+    /// Whether the loss is a mean over the samples, not their sum: then the gradients of
+    /// batches that are added up to one step are a mean, too.
+    const IS_MEAN: bool = false;
+
     /// Names of the loss's parts.
     const PARTS: &'static [&'static str];
 
@@ -82,7 +86,7 @@ pub struct TrainOptions {
     pub schedule: Schedule,
     /// Epochs in which the learning rate rises from 0.
     pub warmup_epochs: f64,
-    /// Largest norm of the gradients; infinite for any.
+    /// Largest norm of the gradients; 0 for any.
     pub clip: f64,
     /// Decay of the moving average, and after how many steps it has grown to 63 % of that.
     pub ema: [f64; 2],
@@ -360,6 +364,7 @@ impl<T: Task> Trainer<T> {
             if !value.is_finite() {
                 return Err(TrainError::Diverged { epoch, step, loss: value, lr });
             }
+            let loss = if T::IS_MEAN { loss / self.options.accumulate.max(1) as f32 } else { loss };
             let gradients = GradientsParams::from_grads(loss.backward(), &self.model);
             gathered.accumulate(&self.model, gradients);
             waiting += 1;
@@ -367,7 +372,11 @@ impl<T: Task> Trainer<T> {
             let mut gradient = None;
             if waiting == self.options.accumulate.max(1) || seen == steps {
                 let mut gradients = gathered.grads();
-                gradient = Some(clip_norm(&self.model, &mut gradients, self.options.clip));
+                let norm = clip_norm(&self.model, &mut gradients, self.options.clip);
+                if !norm.is_finite() {
+                    return Err(TrainError::Diverged { epoch, step, loss: value, lr });
+                }
+                gradient = Some(norm);
                 self.model = self.optimizer.step(lr, self.model.clone(), gradients);
                 self.ema.update(&self.model.valid());
                 waiting = 0;

@@ -10,6 +10,7 @@ use realnet_data::{
 };
 use realnet_eval::DepthProtocol;
 use realnet_nn::depth::DepthCoding;
+use realnet_train::loss::depth::DepthTruth;
 use realnet_train::loss::{DepthLoss, DepthLossOptions};
 use realnet_train::nets::DepthNet;
 use realnet_train::tasks::{DepthTask, truth};
@@ -128,6 +129,37 @@ fn steps_are_the_same_each_time() {
     all.sort_unstable();
     all.dedup();
     assert_eq!(all.len(), 4);
+}
+
+/// Triangles stand on depths that are known and that the bins can say.
+#[test]
+fn triangles_stand_on_known_depths() {
+    let options = DepthLossOptions {
+        coding: coding(),
+        bins: BINS,
+        normal_triplets: 50,
+        ..Default::default()
+    };
+    let loss = DepthLoss::new(options);
+    let truth = DepthTruth {
+        images: 3,
+        size: [2, 4],
+        // Beyond the bins; with two known depths; with four.
+        depths: [
+            [100.0; 8],
+            [1.0, 2.0, 0.0, 0.0, 0.01, 0.0, f32::NAN, 100.0],
+            [0.0, 1.0, 2.0, 0.0, 3.0, 0.0, 0.0, 4.0],
+        ]
+        .concat(),
+        ..DepthTruth::default()
+    };
+    let mut drawn = 0;
+    let triplets = loss.draw(&truth, |count| {
+        drawn += 1;
+        drawn % count
+    });
+    assert_eq!(triplets.len(), 50);
+    assert!(triplets.iter().flatten().all(|place| [17, 18, 20, 23].contains(place)));
 }
 
 /// A block has the median of what is known in it, and the ray of its middle.

@@ -47,6 +47,8 @@ impl Net {
 struct Brightness {
     diverges: bool,
     never_better: bool,
+    /// All batches are the first one.
+    same: bool,
 }
 
 /// Pictures and how bright they are.
@@ -62,13 +64,15 @@ impl Task for Brightness {
     type Batch = (Vec<f32>, Vec<f32>);
     type Error = Infallible;
 
+    const IS_MEAN: bool = true;
     const PARTS: &'static [&'static str] = &["square"];
 
     fn batches(
         &self,
         epoch: usize,
     ) -> Result<impl Iterator<Item = Result<Self::Batch, Infallible>>, Infallible> {
-        Ok((0..5).map(move |step| Ok(batch(epoch, step))))
+        let same = self.same;
+        Ok((0..5).map(move |step| Ok(if same { batch(0, 0) } else { batch(epoch, step) })))
     }
 
     fn steps(&self) -> usize {
@@ -151,6 +155,7 @@ fn options(optimizer: Optimizer) -> TrainOptions {
         schedule: Schedule::Cosine,
         accumulate: 2,
         ema: [0.9, 2.0],
+        clip: 0.0,
         ..TrainOptions::default()
     }
 }
@@ -188,6 +193,44 @@ fn a_stopped_training_goes_on_to_the_same_result() {
             (tensors(&trainer.model().valid()).unwrap(), tensors(trainer.average()).unwrap())
         };
         assert_eq!(weights(&resumed), weights(&whole));
+    }
+}
+
+/// Of a mean the gradients of batches that are added up are a mean: the same steps as of
+/// single batches of the same samples.
+#[test]
+fn added_up_batches_are_one_large_one() {
+    let gradients = |accumulate: usize| {
+        let options =
+            TrainOptions { accumulate, epochs: 1, ..options(Optimizer::Sgd { momentum: 0.9 }) };
+        let task = Brightness { same: true, ..Brightness::default() };
+        let mut norms = Norms::default();
+        // No step moves anything, so that the gradients stay comparable.
+        let options = TrainOptions { lr: 1e-12, weight_decay: 0.0, ..options };
+        Trainer::new(task, net(), options, device()).run(None, &mut norms).unwrap();
+        norms.0
+    };
+    let (single, double) = (gradients(1), gradients(2));
+    assert_eq!((single.len(), double.len()), (5, 3));
+    for norm in &double[..2] {
+        assert!((norm - single[0]).abs() < 1e-5 * single[0], "{double:?}, {single:?}");
+    }
+    // What is left over at the end of an epoch counts as what it is.
+    assert!((double[2] - single[0] / 2.0).abs() < 1e-5 * single[0], "{double:?}, {single:?}");
+}
+
+/// Keeps the norms of the gradients.
+#[derive(Default)]
+struct Norms(Vec<f64>);
+
+impl Observer<Net> for Norms {
+    fn step(&mut self, report: &StepReport<'_>) -> ControlFlow<()> {
+        self.0.extend(report.gradient);
+        ControlFlow::Continue(())
+    }
+
+    fn epoch(&mut self, _: &EpochReport, _: &Net) -> Result<ControlFlow<()>, TrainError> {
+        Ok(ControlFlow::Continue(()))
     }
 }
 

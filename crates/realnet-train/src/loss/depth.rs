@@ -104,8 +104,8 @@ pub struct DepthLossOptions {
     pub sharpness: f64,
     /// Weight of the virtual normals against the cross entropy; 0 for none.
     pub normal_gain: f32,
-    /// Triplets that are drawn, as a share of the pixels.
-    pub normal_share: f64,
+    /// Triplets of known depths that are drawn for a picture.
+    pub normal_triplets: usize,
     /// Which of them count.
     pub normal_rules: NormalRules,
     /// Share of these, those of the smallest losses, that is left out.
@@ -120,7 +120,7 @@ impl Default for DepthLossOptions {
             labels: Labels::Around,
             sharpness: 0.2,
             normal_gain: 5.0,
-            normal_share: 0.15,
+            normal_triplets: 4000,
             normal_rules: NormalRules::PAPER,
             normal_dropped: 0.25,
         }
@@ -315,19 +315,26 @@ impl DepthLoss {
     }
 
     /// Triplets for a batch: for each picture as many as the options say, each of three places
-    /// that `below` draws from `0..pixels`.
+    /// with a depth that the bins can say, which `below` draws from so many. None for a picture
+    /// with fewer than three.
     pub fn draw(
         &self,
         truth: &DepthTruth,
         mut below: impl FnMut(usize) -> usize,
     ) -> Vec<[usize; 3]> {
-        let pixels = truth.size[0] * truth.size[1];
-        let count = (self.options.normal_share * pixels as f64) as usize;
+        let pixels = (truth.size[0] * truth.size[1]).max(1);
+        let count = self.options.normal_triplets;
         let mut triplets = Vec::with_capacity(truth.images * count);
-        for image in 0..truth.images {
-            for _ in 0..count {
-                triplets.push(std::array::from_fn(|_| image * pixels + below(pixels)));
+        for (image, depths) in truth.depths.chunks(pixels).enumerate() {
+            let known: Vec<usize> = (image * pixels..)
+                .zip(depths)
+                .filter_map(|(place, depth)| self.label(*depth).map(|_| place))
+                .collect();
+            if known.len() < 3 {
+                continue;
             }
+            let mut one = || known.get(below(known.len())).copied().unwrap_or_default();
+            triplets.extend((0..count).map(|_| [one(), one(), one()]));
         }
         triplets
     }

@@ -135,6 +135,7 @@ impl<N: DepthNet> Task for DepthTask<N> {
     type Batch = DepthStep;
     type Error = DepthTaskError;
 
+    const IS_MEAN: bool = true;
     const PARTS: &'static [&'static str] = &["wce", "normals"];
 
     fn batches(

@@ -130,8 +130,13 @@ impl Task for DetectionTask {
         let file = detector_onnx(model, self.validation.names(), &options)?;
         let network = DetectorModel::from_vec("the network in training", file)?;
         // Weak boxes too: the curve needs them.
-        let options =
-            DetectorOptions { confidence: 0.001, iou: 0.6, max_det: 300, ..Default::default() };
+        let options = DetectorOptions {
+            confidence: 0.001,
+            iou: 0.6,
+            max_det: 300,
+            multi_label: self.validation.names().len() > 1,
+            ..Default::default()
+        };
         let mut detector = Detector::new(network, &self.runtime, options)?;
         let (mut truth, mut found) = (Vec::new(), Vec::new());
         for (image_id, (index, image)) in (0..).zip(self.validation.images().iter().enumerate()) {

@@ -131,9 +131,9 @@ struct LossArgs {
     /// Which triangles count: by the paper's rules or the released code's.
     #[arg(long, value_enum, default_value_t = RulesFlag::Paper)]
     normals_rules: RulesFlag,
-    /// Triangles that are drawn, as a share of the pixels.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.15)]
-    normals_share: f64,
+    /// Triangles of known depths that are drawn for each picture.
+    #[arg(long, value_name = "N", default_value_t = 4000)]
+    normals_triplets: usize,
     /// Share of these, those of the smallest losses, that is left out.
     #[arg(long, value_name = "SHARE", default_value_t = 0.25)]
     normals_dropped: f64,
@@ -209,11 +209,12 @@ impl DepthSettings {
     /// Full paths, so that the file of options is good everywhere; and all ranges.
     fn resolve(&mut self) -> Result<()> {
         self.learn.resolve()?;
-        let LossArgs { normals_gain, normals_share, normals_dropped, .. } = self.loss;
+        let LossArgs { normals_gain, normals_triplets, normals_dropped, .. } = self.loss;
         let gain = (0.0..=1000.0).contains(&normals_gain);
         check("normals_gain", normals_gain, gain, "from 0 to 1000")?;
-        let share = normals_share > 0.0 && normals_share <= 10.0;
-        check("normals_share", normals_share, share, "above 0, at most 10")?;
+        let triplets = (1..=1_000_000).contains(&normals_triplets);
+        let range = "from 1 to 1000000";
+        check("normals_triplets", normals_triplets as f64, triplets, range)?;
         let dropped = (0.0..1.0).contains(&normals_dropped);
         check("normals_dropped", normals_dropped, dropped, "from 0, below 1")?;
         let CodingArgs { bins, focal, cap, .. } = self.coding;
@@ -322,7 +323,7 @@ impl DepthSettings {
             coding,
             bins: network.bins(),
             normal_gain: self.loss.normals_gain as f32,
-            normal_share: self.loss.normals_share,
+            normal_triplets: self.loss.normals_triplets,
             normal_rules: match self.loss.normals_rules {
                 RulesFlag::Paper => NormalRules::PAPER,
                 RulesFlag::Released => NormalRules::RELEASED,

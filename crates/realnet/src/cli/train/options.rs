@@ -78,7 +78,8 @@ pub(super) struct LearnArgs {
     /// Momentum of sgd, first beta of adamw [default: 0.937 for sgd, 0.9 for adamw].
     #[arg(long, value_name = "SHARE")]
     pub(super) momentum: Option<f64>,
-    /// Decay of the weights of convolutions [default: 0.0005 for sgd, 0.02 for adamw].
+    /// Decay of the weights of convolutions [default: 0.0005 for sgd, 0.02 for adamw]; for sgd
+    /// it is that of steps of 64 samples, and smaller steps decay less, as in YOLOv5.
     #[arg(long, value_name = "DECAY")]
     pub(super) weight_decay: Option<f64>,
     /// Largest norm of the gradients; 0 for any.
@@ -107,6 +108,9 @@ pub(super) struct LearnArgs {
     #[arg(long, value_name = "GB", default_value_t = 2.0)]
     pub(super) cache: f64,
 }
+
+/// Samples of a step that the weight decay of sgd is meant for.
+const NOMINAL_BATCH: f64 = 64.0;
 
 /// Fields that may change when a run goes on.
 pub(super) const MAY_CHANGE: [&str; 4] = ["epochs", "patience", "workers", "cache"];
@@ -176,7 +180,7 @@ impl LearnArgs {
         whole("epochs", self.epochs, 1_000_000)?;
         whole("batch", self.batch, 4096)?;
         whole("accumulate", self.accumulate, 4096)?;
-        whole("patience", self.patience, usize::MAX)?;
+        whole("patience", self.patience, 1_000_000)?;
         check("workers", self.workers as f64, self.workers <= 1024, "from 0 to 1024")?;
         let share = |name, value: f64| {
             check(name, value, (0.0..1.0).contains(&value), "at least 0 and below 1")
@@ -198,6 +202,10 @@ impl LearnArgs {
     /// For the trainer.
     pub(super) fn options(&self) -> TrainOptions {
         let momentum = self.momentum.unwrap_or(0.9);
+        let nominal = match self.optimizer {
+            OptimizerFlag::Sgd => (self.batch * self.accumulate) as f64 / NOMINAL_BATCH,
+            OptimizerFlag::Adamw => 1.0,
+        };
         TrainOptions {
             epochs: self.epochs,
             accumulate: self.accumulate,
@@ -205,7 +213,7 @@ impl LearnArgs {
                 OptimizerFlag::Sgd => Optimizer::Sgd { momentum },
                 OptimizerFlag::Adamw => Optimizer::AdamW { beta_1: momentum as f32, beta_2: 0.999 },
             },
-            weight_decay: self.weight_decay.unwrap_or_default() as f32,
+            weight_decay: (self.weight_decay.unwrap_or_default() * nominal) as f32,
             lr: self.lr.unwrap_or_default(),
             lr_last: self.lr_last,
             schedule: match self.schedule {
@@ -214,7 +222,7 @@ impl LearnArgs {
                 ScheduleFlag::Step => Schedule::Step,
             },
             warmup_epochs: self.warmup_epochs,
-            clip: if self.clip > 0.0 { self.clip } else { f64::INFINITY },
+            clip: self.clip,
             ema: [self.ema, self.ema_ramp],
             patience: self.patience,
             seed: u64::from(self.seed),

@@ -1,16 +1,19 @@
 //! A bar for each epoch.
 
-use crate::cli::{interrupt, progress};
+use crate::cli::{failure::say, interrupt, progress};
 use burn::module::Module;
 use indicatif::{FormattedDuration, ProgressBar, ProgressStyle};
 use realnet_train::trainer::{EpochReport, Observer, StepReport, TrainError};
 use std::{
+    io::IsTerminal,
     ops::ControlFlow,
     time::{Duration, Instant},
 };
 
 /// The epoch, its steps and what is left of it; then rate, what is left of all, losses.
 const TEMPLATE: &str = "{prefix} {bar:20} {pos}/{len} eta {eta} {wide_msg}";
+/// Where there is no terminal, a line comes as often as this.
+const LINE_EVERY: Duration = Duration::from_secs(60);
 
 /// Follows the steps, ends the training after each epoch so that its files can be written,
 /// and after the step in which Ctrl-C came.
@@ -23,12 +26,15 @@ pub(super) struct Watch {
     since: Option<(usize, Instant)>,
     /// Seconds of the epochs so far, and how many they were.
     took: (f64, u32),
+    /// When the last line was written, where there is no bar.
+    line: Option<Instant>,
 }
 
 impl Watch {
     /// For a whole of so many epochs, with batches of so many samples.
     pub(super) fn new(epochs: usize, batch: usize, parts: &'static [&'static str]) -> Self {
-        Self { epochs, batch, parts, bar: ProgressBar::hidden(), since: None, took: (0.0, 0) }
+        let line = (!std::io::stderr().is_terminal()).then(Instant::now);
+        Self { epochs, batch, parts, bar: ProgressBar::hidden(), since: None, took: (0.0, 0), line }
     }
 
     /// An epoch with its validation took so long.
@@ -80,6 +86,12 @@ impl<M: Module> Observer<M> for Watch {
         }
         self.bar.set_message(self.words(report));
         self.bar.set_position(report.step as u64 + 1);
+        if self.line.is_some_and(|last| last.elapsed() >= LINE_EVERY) {
+            self.line = Some(Instant::now());
+            let StepReport { epoch, step, steps, .. } = *report;
+            let (epoch, step, words) = (epoch + 1, step + 1, self.words(report));
+            say(format!("epoch {epoch}/{} step {step}/{steps} {words}", self.epochs));
+        }
         if interrupt::interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
