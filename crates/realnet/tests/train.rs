@@ -397,7 +397,8 @@ fn a_diverging_training_ends_with_words() {
     let bench = Bench::new(16);
     // Each step turns the weights around and makes them many times as large.
     let more = ["--optimizer", "adamw", "--lr", "10", "--weight-decay", "0.9", "--clip", "0"];
-    let more = [&more[..], &["--warmup-epochs", "0", "--schedule", "step"]].concat();
+    let more =
+        [&more[..], &["--warmup-epochs", "0", "--schedule", "step", "--epochs", "60"]].concat();
     let run = realnet(&bench.detect("run", &more));
     says(&run, 1, &["the training diverged: ", "smaller --lr"]);
 }
