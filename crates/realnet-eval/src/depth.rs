@@ -301,6 +301,12 @@ impl DepthMetrics {
         })
     }
 
+    /// How maps are compared.
+    #[must_use]
+    pub const fn protocol(&self) -> &DepthProtocol {
+        &self.protocol
+    }
+
     /// Adds one image: the pixels whose true depth lies in crop and range. A
     /// pixel without a produced depth is not compared, it lowers
     /// [`DepthReport::known_share`].

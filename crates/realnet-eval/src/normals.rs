@@ -38,17 +38,19 @@ impl NormalErrors {
 /// metrics.add([5.0, 10.0, 25.0, 40.0]);
 /// let errors = metrics.errors().unwrap_or_default();
 /// assert_eq!((errors.mean_deg, errors.median_deg), (20.0, 17.5));
+/// assert_eq!((metrics.images(), metrics.pixels()), (1, 4));
 /// assert_eq!((errors.within_11, errors.within_30), (0.5, 0.75));
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct NormalMetrics {
     images: usize,
+    pixels: u64,
     sums: [f64; 5],
     sorted: Vec<f64>,
 }
 
 impl NormalMetrics {
-    /// Adds the angles of one image, degrees. One without any is not counted.
+    /// Adds the angles of one image's pixels, degrees. One without any is not counted.
     pub fn add(&mut self, angles: impl IntoIterator<Item = f64>) {
         self.sorted.clear();
         self.sorted.extend(angles);
@@ -69,12 +71,19 @@ impl NormalMetrics {
             *sum += value;
         }
         self.images += 1;
+        self.pixels += count as u64;
     }
 
     /// Images that the figures are of.
     #[must_use]
     pub const fn images(&self) -> usize {
         self.images
+    }
+
+    /// Pixels that were compared.
+    #[must_use]
+    pub const fn pixels(&self) -> u64 {
+        self.pixels
     }
 
     /// The figures so far; `None` before the first image.

@@ -63,6 +63,16 @@ impl NormalMap {
         (*normal != Self::UNKNOWN).then_some(*normal)
     }
 
+    /// Forgets the normals of the pixels `(x, y)` that `keep` says no to.
+    pub fn retain(&mut self, keep: impl Fn(u32, u32) -> bool) {
+        let pixels = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
+        for (normal, (x, y)) in self.data.iter_mut().zip(pixels) {
+            if !keep(x, y) {
+                *normal = Self::UNKNOWN;
+            }
+        }
+    }
+
     /// The angles between the normals of two maps, degrees, where both are known. None for
     /// maps of different sizes.
     pub fn angles<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = f64> + 'a {
@@ -224,6 +234,9 @@ mod tests {
         assert!(degrees(found.at(60, 20).unwrap(), near) < 0.1);
         assert!(degrees(found.at(2, 20).unwrap(), far) < 0.1);
         assert_eq!(found.at(64, 20), None);
+        let mut left = found.clone();
+        left.retain(|x, y| x < 10 && y > 5);
+        assert!(left.at(9, 20).is_some() && left.at(9, 5).is_none() && left.at(10, 20).is_none());
         let between = |x: u32| {
             let own = |normal| degrees(normal, near).min(degrees(normal, far));
             found.at(x, 20).map_or(0.0, own)

@@ -176,6 +176,13 @@ fn normals_are_compared_where_they_are_asked_for() {
         assert!((normals[key].as_f64().unwrap() - 20.0).abs() < 0.2, "{normals:#}");
     }
     assert_eq!((&normals["within_11"], &normals["within_22"]), (&0.0.into(), &1.0.into()));
+    assert_eq!(normals["window"], 7);
+    let all = normals["pixels"].as_u64().unwrap();
+    assert!((u64::from(WIDTH * HEIGHT)..=3 * u64::from(WIDTH * HEIGHT)).contains(&all), "{all}");
+    // Eigen's crop of NYU has fewer pixels.
+    let crop = ["--json", "--normals", "--fx", "40", "--crop", "eigen-nyu"];
+    let cropped = report(&bench.run(&crop).quiet())["normals"]["pixels"].as_u64().unwrap();
+    assert!(cropped > 0 && cropped < all, "{cropped} of {all}");
     let run = bench.run(&["--normals", "--fx", "40"]).quiet();
     assert!(run.stdout.contains("surface normals: mean "), "{}", run.stdout);
     assert!(!bench.run(&[]).quiet().stdout.contains("normals"));

@@ -26,7 +26,7 @@ use realnet::{
     eval::{DepthCrop, DepthMetrics, DepthProtocol, NormalMetrics, Pooling},
 };
 use realnet_pose::{NormalOptions, SurfaceNormals};
-use report::{FrameErrors, Protocol, Report, Selection};
+use report::{FrameErrors, Normals, Protocol, Report, Selection};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -65,7 +65,8 @@ pub(crate) struct DepthArgs {
     /// How a frame is fitted into the network's input.
     #[arg(long, value_enum, default_value_t = FilterFlag::Triangle)]
     resize: FilterFlag,
-    /// Compare surface normals too: planes fitted to 7x7 depths; takes a camera.
+    /// Compare surface normals too, of planes fitted to 7x7 depths, where the truth is inside crop
+    /// and range; takes a camera.
     #[arg(long)]
     normals: bool,
     /// Write a page with pictures, metrics.json and images.csv into this directory.
@@ -184,14 +185,21 @@ impl Gathered {
         camera: CameraModel,
         truth: &DepthMap,
         produced: &DepthMap,
+        protocol: &DepthProtocol,
     ) -> Result<()> {
         let kept = self.surfaces.take().filter(|(of, _)| *of == camera);
         let (_, surfaces) =
             self.surfaces.insert(kept.unwrap_or_else(|| {
                 (camera, SurfaceNormals::new(&camera, NormalOptions::default()))
             }));
-        let [truth, produced] = [surfaces.of(truth)?, surfaces.of(produced)?];
-        self.normals.add(truth.angles(&produced));
+        let [mut wanted, produced] = [surfaces.of(truth)?, surfaces.of(produced)?];
+        let (rows, columns) = protocol.crop.window(truth.width(), truth.height());
+        let range = protocol.min_depth..protocol.max_depth;
+        wanted.retain(|x, y| {
+            let depth = truth.row(y).get(x as usize).copied().map_or(0.0, f64::from);
+            rows.contains(&y) && columns.contains(&x) && range.contains(&depth)
+        });
+        self.normals.add(wanted.angles(&produced));
         Ok(())
     }
 }
@@ -266,7 +274,7 @@ pub(crate) fn run(args: &DepthArgs) -> Result<Outcome> {
             estimator: estimator.words(),
             camera: camera_words(args, &data),
         },
-        normals: gathered.normals.errors(),
+        normals: Normals::new(&gathered.normals, NormalOptions::default()),
         ms_per_image: report::median(&mut gathered.ms),
     };
     let text = report::text(&report, &errors);
@@ -321,7 +329,7 @@ fn measure(
         gathered.ms.extend(ms);
         let compared = metrics.add(&truth, &produced)?;
         if let Some(camera) = camera {
-            gathered.compare_normals(camera, &truth, &produced)?;
+            gathered.compare_normals(camera, &truth, &produced, metrics.protocol())?;
         }
         gathered.frames.push(FrameErrors { index, compared });
     }

@@ -5,8 +5,9 @@ use super::{
     estimate::Words,
 };
 use realnet::eval::{
-    DepthErrors, DepthProtocol, DepthReport, ImageDepth, NormalErrors, ScaleSpread,
+    DepthErrors, DepthProtocol, DepthReport, ImageDepth, NormalErrors, NormalMetrics, ScaleSpread,
 };
+use realnet_pose::NormalOptions;
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -20,10 +21,33 @@ pub(super) struct Report {
     pub(super) protocol: Protocol,
     /// Errors of the surfaces' normals, mean of images; where they were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) normals: Option<NormalErrors>,
+    pub(super) normals: Option<Normals>,
     /// Median of fitting, inference and resizing; reading files is not in it. Depth
     /// maps of another program have none.
     pub(super) ms_per_image: Option<f64>,
+}
+
+/// Errors of surface normals, and how planes were fitted.
+#[derive(Debug, Serialize)]
+pub(super) struct Normals {
+    #[serde(flatten)]
+    errors: NormalErrors,
+    /// Pixels that were compared.
+    pixels: u64,
+    /// Columns and rows of the depths that a plane is fitted to.
+    window: u32,
+    /// Share of the depth by which neighbours may differ.
+    step: f32,
+    /// Share of the window that has to belong to the surface.
+    least: f64,
+}
+
+impl Normals {
+    pub(super) fn new(metrics: &NormalMetrics, options: NormalOptions) -> Option<Self> {
+        let NormalOptions { radius, step, least } = options;
+        let (pixels, window) = (metrics.pixels(), 2 * radius + 1);
+        metrics.errors().map(|errors| Self { errors, pixels, window, step, least })
+    }
 }
 
 /// How it was measured, and on what.
@@ -121,7 +145,11 @@ pub(super) fn text(report: &Report, errors: &DepthReport) -> String {
         100.0 * d1
     );
     if let Some(normals) = &report.normals {
-        let _ = writeln!(text, "\n{normals} (mean of images)");
+        let Normals { errors, pixels, window, .. } = normals;
+        let _ = writeln!(
+            text,
+            "\n{errors}\n(mean of images; planes fitted to {window}x{window} depths; {pixels} pixels)"
+        );
     }
     if let Some(ms) = report.ms_per_image {
         let _ = writeln!(text, "\n{ms:.1} ms a picture (median; reading files not counted)");
