@@ -43,11 +43,15 @@ pub struct LoaderOptions {
     pub shuffle: Option<u64>,
     /// Whether a last batch that is not full is left out.
     pub drop_last: bool,
+    /// Samples that may stand in for one that cannot be made, the next ones of the order;
+    /// default 15: more broken files in a row are not an accident. With 0 the epoch ends with
+    /// an error: figures of a validation are to be of the pictures that they name.
+    pub replacements: usize,
 }
 
 impl Default for LoaderOptions {
     fn default() -> Self {
-        Self { batch: 16, threads: 0, ahead: 2, shuffle: None, drop_last: false }
+        Self { batch: 16, threads: 0, ahead: 2, shuffle: None, drop_last: false, replacements: 15 }
     }
 }
 
@@ -121,6 +125,7 @@ impl<S: Samples> Loader<S> {
             wanted: Condvar::new(),
             wanted_total: end - start,
             order,
+            tries: self.options.replacements.saturating_add(1),
             epoch,
         });
         let threads = crate::threads(self.options.threads).min((end - start).max(1));
@@ -154,6 +159,8 @@ struct Shared<T> {
     wanted_total: usize,
     /// Indices, the first one first.
     order: Vec<usize>,
+    /// How many of them are tried for one sample.
+    tries: usize,
     epoch: u32,
 }
 
@@ -211,10 +218,8 @@ fn make<S: Samples>(
     failures: &Mutex<BTreeMap<usize, Failure>>,
     place: usize,
 ) -> Result<S::Sample, (usize, SampleError)> {
-    /// More broken files in a row are not an accident.
-    const TRIES: usize = 16;
     let mut last = SampleError { index: 0, path: PathBuf::new(), reason: "no samples".to_owned() };
-    let tries = TRIES.min(shared.order.len());
+    let tries = shared.tries.min(shared.order.len());
     for index in shared.order.iter().cycle().skip(place).take(tries) {
         let made = guarded(|| samples.sample(shared.epoch, *index));
         let panic = |reason| SampleError { index: *index, path: PathBuf::new(), reason };
@@ -264,7 +269,10 @@ impl<S: Samples> Iterator for Epoch<S> {
                 Some(Err((tried, last))) => {
                     state.stopped = true;
                     self.shared.wanted.notify_all();
-                    return Some(Err(DataError::TooManyFailures { tried, last }));
+                    return Some(Err(match tried {
+                        1 => DataError::Sample(last),
+                        _ => DataError::TooManyFailures { tried, last },
+                    }));
                 }
                 None => {
                     state = self.shared.ready.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -388,6 +396,18 @@ mod tests {
         let mut epoch = loader.epoch(0);
         let error = epoch.next().unwrap().unwrap_err().to_string();
         assert!(error.starts_with("16 samples in a row could not be made"), "{error}");
+        assert!(epoch.next().is_none());
+    }
+
+    #[test]
+    fn without_replacements_what_fails_is_an_error() {
+        let samples = Numbers { count: 10, broken: vec![7], ..Numbers::default() };
+        let options = LoaderOptions { batch: 5, replacements: 0, ..Default::default() };
+        let loader = Loader::new(Arc::new(samples), options).unwrap();
+        let mut epoch = loader.epoch(0);
+        assert_eq!(epoch.next().unwrap().unwrap().len(), 5);
+        let error = epoch.next().unwrap().unwrap_err().to_string();
+        assert_eq!(error, "sample 7, x.jpg: broken");
         assert!(epoch.next().is_none());
     }
 

@@ -36,13 +36,8 @@ pub trait Task {
     /// Steps in an epoch.
     fn steps(&self) -> usize;
 
-    /// The loss of a batch, `[1]`, and its parts by the names of [`Task::PARTS`].
-    fn loss(
-        &self,
-        model: &Self::Model,
-        batch: Self::Batch,
-        device: &Device,
-    ) -> (Tensor<1>, Vec<f32>);
+    /// The loss of a batch.
+    fn loss(&self, model: &Self::Model, batch: Self::Batch, device: &Device) -> Loss;
 
     /// Whether the loss is a mean over the samples, not their sum: then the gradients of
     /// batches that are added up to one step are a mean, too.
@@ -56,6 +51,18 @@ pub trait Task {
     /// # Errors
     /// When the validation data cannot be read.
     fn validate(&self, model: &Self::Model) -> Result<Figures, Self::Error>;
+}
+
+/// The loss of a batch.
+#[derive(Clone, Debug)]
+pub struct Loss {
+    /// What is made small, `[1]`: a sum over the samples, or their mean, see
+    /// [`Task::IS_MEAN`].
+    pub total: Tensor<1>,
+    /// Its parts by the names of [`Task::PARTS`], as means over the samples.
+    pub parts: Vec<f32>,
+    /// Samples in the batch.
+    pub samples: usize,
 }
 
 /// What a validation found.
@@ -186,7 +193,7 @@ pub struct StepReport<'a> {
     pub step: usize,
     /// Steps in it.
     pub steps: usize,
-    /// The loss.
+    /// The loss, mean over the samples.
     pub loss: f32,
     /// Its parts.
     pub parts: &'a [f32],
@@ -201,7 +208,7 @@ pub struct StepReport<'a> {
 pub struct EpochReport {
     /// From 0.
     pub epoch: usize,
-    /// Mean of the steps.
+    /// Mean of the samples.
     pub loss: f64,
     /// Means of its parts.
     pub parts: Vec<f64>,
@@ -303,7 +310,8 @@ impl<T: Task> Trainer<T> {
         &self.model
     }
 
-    /// Trains until the end. After each epoch a checkpoint is written to `checkpoint`, whole
+    /// Trains until the end. Before the first step the network is judged once, so that what
+    /// keeps it from being judged is found then. After each epoch a checkpoint is written to `checkpoint`, whole
     /// or not at all.
     ///
     /// # Errors
@@ -313,6 +321,11 @@ impl<T: Task> Trainer<T> {
         checkpoint: Option<&Path>,
         observer: &mut impl Observer<T::Model>,
     ) -> Result<Ended, TrainError> {
+        if self.history.is_empty() && self.options.epochs > 0 {
+            // What keeps it from being judged is to be known before hours of training.
+            let found = self.task.validate(self.ema.model());
+            found.map_err(|e| TrainError::Data { epoch: 0, source: Box::new(e) })?;
+        }
         while self.history.len() < self.options.epochs {
             if self.is_patience_over() {
                 return Ok(Ended::Patience);
@@ -351,7 +364,7 @@ impl<T: Task> Trainer<T> {
         let data = |source: T::Error| TrainError::Data { epoch, source: Box::new(source) };
         let steps = self.task.steps();
         let mut sums = vec![0.0; T::PARTS.len() + 1];
-        let mut seen = 0_usize;
+        let (mut seen, mut samples) = (0_usize, 0_usize);
         let mut lr = self.options.lr_at(epoch as f64);
         let mut gathered = GradientsAccumulator::new();
         let mut waiting = 0;
@@ -359,8 +372,10 @@ impl<T: Task> Trainer<T> {
             let batch = batch.map_err(data)?;
             let step = seen;
             lr = self.options.lr_at(epoch as f64 + (step + 1) as f64 / steps.max(1) as f64);
-            let (loss, parts) = self.task.loss(&self.model, batch, &self.device);
+            let Loss { total: loss, parts, samples: count } =
+                self.task.loss(&self.model, batch, &self.device);
             let value: f32 = loss.clone().into_scalar();
+            let value = if T::IS_MEAN { value } else { value / count.max(1) as f32 };
             if !value.is_finite() {
                 return Err(TrainError::Diverged { epoch, step, loss: value, lr });
             }
@@ -369,6 +384,7 @@ impl<T: Task> Trainer<T> {
             gathered.accumulate(&self.model, gradients);
             waiting += 1;
             seen += 1;
+            samples += count;
             let mut gradient = None;
             if waiting == self.options.accumulate.max(1) || seen == steps {
                 let mut gradients = gathered.grads();
@@ -382,7 +398,7 @@ impl<T: Task> Trainer<T> {
                 waiting = 0;
             }
             for (sum, part) in sums.iter_mut().zip([value].iter().chain(&parts)) {
-                *sum += f64::from(*part);
+                *sum += f64::from(*part) * count as f64;
             }
             let report =
                 StepReport { epoch, step, steps, loss: value, parts: &parts, lr, gradient };
@@ -402,7 +418,7 @@ impl<T: Task> Trainer<T> {
             return Err(TrainError::NotFinite { epoch, name });
         }
         let validation = self.task.validate(self.ema.model()).map_err(data)?;
-        let mut means = sums.into_iter().map(|sum| sum / seen as f64);
+        let mut means = sums.into_iter().map(|sum| sum / samples.max(1) as f64);
         let best = self.best().is_none_or(|(_, fitness)| validation.fitness > fitness);
         let loss = means.next().unwrap_or_default();
         Ok(Some(EpochReport { epoch, loss, parts: means.collect(), lr, validation, best }))

@@ -14,7 +14,7 @@ use realnet_train::loss::depth::DepthTruth;
 use realnet_train::loss::{DepthLoss, DepthLossOptions};
 use realnet_train::nets::DepthNet;
 use realnet_train::tasks::{DepthTask, truth};
-use realnet_train::trainer::Task;
+use realnet_train::trainer::{Loss, Task};
 use std::sync::Arc;
 
 /// A network that sees nothing: logits of one number a bin.
@@ -112,7 +112,8 @@ fn steps_are_the_same_each_time() {
         assert_eq!(task.steps(), 2);
         let steps = task.batches(epoch).unwrap();
         let losses = steps.map(|step| {
-            let (total, parts) = task.loss(&net, step.unwrap(), &device);
+            let Loss { total, parts, samples } = task.loss(&net, step.unwrap(), &device);
+            assert_eq!(samples, 2);
             (total.into_scalar::<f32>(), parts)
         });
         losses.collect()

@@ -13,7 +13,7 @@ use realnet_train::names::tensors;
 use realnet_train::nets::block::{Activation, ConvBlock, Kernel, Normalisation};
 use realnet_train::optim::{Optimizer, Schedule};
 use realnet_train::trainer::{
-    CheckpointError, Ended, EpochReport, Figures, Observer, StepReport, Task, TrainError,
+    CheckpointError, Ended, EpochReport, Figures, Loss, Observer, StepReport, Task, TrainError,
     TrainOptions, Trainer,
 };
 use std::convert::Infallible;
@@ -79,13 +79,13 @@ impl Task for Brightness {
         5
     }
 
-    fn loss(&self, model: &Net, (x, y): Self::Batch, device: &Device) -> (Tensor<1>, Vec<f32>) {
+    fn loss(&self, model: &Net, (x, y): Self::Batch, device: &Device) -> Loss {
         let x = Tensor::from_data(TensorData::new(x, [4, 1, 8, 8]), device);
         let y = Tensor::<1>::from_data(TensorData::new(y, [4]), device);
         let scale = if self.diverges { f32::NAN } else { 1.0 };
-        let loss = (model.forward(x) - y).square().mean() * scale;
-        let value = loss.clone().into_scalar();
-        (loss, vec![value])
+        let total = (model.forward(x) - y).square().mean() * scale;
+        let parts = vec![total.clone().into_scalar()];
+        Loss { total, parts, samples: 4 }
     }
 
     fn validate(&self, model: &Net) -> Result<Figures, Infallible> {

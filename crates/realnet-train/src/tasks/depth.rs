@@ -3,7 +3,7 @@
 use crate::loss::DepthLoss;
 use crate::loss::depth::DepthTruth;
 use crate::nets::DepthNet;
-use crate::trainer::{Figures, Task};
+use crate::trainer::{Figures, Loss, Task};
 use burn::tensor::module::interpolate;
 use burn::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -154,7 +154,7 @@ impl<N: DepthNet> Task for DepthTask<N> {
         self.loader.batches()
     }
 
-    fn loss(&self, model: &N, step: DepthStep, device: &Device) -> (Tensor<1>, Vec<f32>) {
+    fn loss(&self, model: &N, step: DepthStep, device: &Device) -> Loss {
         let DepthStep { mut batch, seed } = step;
         let logits = model.logits(images(&mut batch, device));
         let [_, _, rows, columns] = logits.dims();
@@ -162,7 +162,8 @@ impl<N: DepthNet> Task for DepthTask<N> {
         let mut dice = Pcg64Mcg::seed_from_u64(seed);
         let triplets = self.loss.draw(&truth, |below| dice.random_range(0..below.max(1)));
         let (total, parts) = self.loss.of(logits, &truth, &triplets);
-        (total, parts.map(Tensor::into_scalar::<f32>).to_vec())
+        let parts = parts.map(Tensor::into_scalar::<f32>).to_vec();
+        Loss { total, parts, samples: batch.count }
     }
 
     fn validate(&self, model: &N) -> Result<Figures, DepthTaskError> {

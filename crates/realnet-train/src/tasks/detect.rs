@@ -3,7 +3,7 @@
 use crate::export::{ExportNetworkError, detector_onnx};
 use crate::loss::{DetectionLoss, Target};
 use crate::nets::YoloV5;
-use crate::trainer::{Figures, Task};
+use crate::trainer::{Figures, Loss, Task};
 use burn::tensor::{Device, Tensor, TensorData};
 use realnet_core::Detection;
 use realnet_data::{
@@ -100,12 +100,7 @@ impl Task for DetectionTask {
         self.loader.batches()
     }
 
-    fn loss(
-        &self,
-        model: &YoloV5,
-        batch: DetectionBatch,
-        device: &Device,
-    ) -> (Tensor<1>, Vec<f32>) {
+    fn loss(&self, model: &YoloV5, batch: DetectionBatch, device: &Device) -> Loss {
         let side = batch.size as usize;
         let targets: Vec<Target> = batch
             .targets
@@ -118,10 +113,11 @@ impl Task for DetectionTask {
             .collect();
         let data = TensorData::new(batch.images, [batch.count, 3, side, side]);
         let parts = self.loss.of(model.forward(Tensor::from_data(data, device)), &targets);
-        let count = batch.count.max(1) as f32;
+        let samples = batch.count;
+        let count = samples.max(1) as f32;
         let values = [&parts.boxes, &parts.objectness, &parts.classes];
         let values = values.map(|part| part.clone().into_scalar::<f32>() / count);
-        (parts.total(), values.to_vec())
+        Loss { total: parts.total(), parts: values.to_vec(), samples }
     }
 
     fn validate(&self, model: &YoloV5) -> Result<Figures, DetectionTaskError> {

@@ -453,7 +453,7 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
     let loader = Loader::new(samples, options).or_bad_input()?;
     let samples =
         DepthSamples::validation(val, canonical, normalization(&coding)).or_bad_input()?;
-    let options = LoaderOptions { shuffle: None, ..settings.learn.loader() };
+    let options = LoaderOptions { shuffle: None, replacements: 0, ..settings.learn.loader() };
     let validation = Loader::new(Arc::new(samples), options).or_bad_input()?;
     let parts = Parts {
         start,

@@ -20,7 +20,7 @@ impl Table {
         self.epochs
     }
 
-    /// Names and values of the losses; one part needs no sum.
+    /// Names and values of the loss and its parts.
     pub(super) fn losses(&self, report: &EpochReport) -> Vec<(String, f64)> {
         let parts = self.parts.iter().map(|name| (*name).to_owned()).zip(report.parts.clone());
         [("loss".to_owned(), report.loss)].into_iter().chain(parts).collect()
