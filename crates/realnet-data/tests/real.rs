@@ -71,7 +71,7 @@ fn nyu_is_divided_by_blocks_and_keeps_its_metres() {
     let source = DepthSource {
         depth_scale: Some(1000.0),
         camera: Some(camera),
-        hold_out: Some(HoldOut { block: 40, every: 5 }),
+        hold_out: Some(HoldOut { block: 40, every: 5, gap: 0 }),
         ..DepthSource::new(path)
     };
     let list = SourceList { sources: vec![source] };

@@ -442,7 +442,18 @@ fn ramps(folder: &Path, count: u32) {
 
 /// `train depth` with small numbers; of 20 pictures 4 are for validation.
 fn depth<'a>(data: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    let small = ["--imgsz", "64", "--batch", "4", "--workers", "1", "--hold-out-block", "2"];
+    let small = [
+        "--imgsz",
+        "64",
+        "--batch",
+        "4",
+        "--workers",
+        "1",
+        "--hold-out-block",
+        "2",
+        "--hold-out-gap",
+        "0",
+    ];
     let small = [&small[..], &["--depth-scale", "1000"]].concat();
     let small = small.chunks(2).filter(|pair| !more.contains(&pair[0])).flatten().copied();
     let first = ["train", "depth", "--data", data, "--out", out];

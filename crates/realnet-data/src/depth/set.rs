@@ -349,6 +349,31 @@ fn usable(
     Ok((picture, finding))
 }
 
+/// Gives pixels of a smaller map that know no depth the median of what is known in their
+/// footprint: of LiDAR's sparse points, nearly all would be lost between the pixels.
+fn fill_from_footprints(depths: &mut [f32], map: &DepthMap, (width, height): (u32, u32)) {
+    let footprint = |place: u32, count: u32, full: u32| {
+        let edge = |place: u32| (u64::from(place) * u64::from(full) / u64::from(count)) as u32;
+        edge(place)..edge(place + 1)
+    };
+    let mut known = Vec::new();
+    for (y, row) in (0..height).zip(depths.chunks_exact_mut(width as usize)) {
+        for (x, depth) in (0..width).zip(row) {
+            if DepthMap::is_known(*depth) {
+                continue;
+            }
+            known.clear();
+            let columns = footprint(x, width, map.width());
+            for line in footprint(y, height, map.height()).map(|line| map.row(line)) {
+                let part = line.get(columns.start as usize..columns.end as usize);
+                known.extend(part.unwrap_or(&[]).iter().filter(|d| DepthMap::is_known(**d)));
+            }
+            known.sort_unstable_by(f32::total_cmp);
+            *depth = known.get(known.len() / 2).copied().unwrap_or(DepthMap::UNKNOWN);
+        }
+    }
+}
+
 /// As it is kept.
 fn fitted(picture: RgbdPicture, size: (u32, u32), oversample: f64) -> Kept {
     let RgbdPicture { frame, depth, camera } = picture;
@@ -370,6 +395,7 @@ fn fitted(picture: RgbdPicture, size: (u32, u32), oversample: f64) -> Kept {
     let scale = Matrix3::new(sx, 0.0, 0.0, 0.0, sy, 0.0, 0.0, 0.0, 1.0);
     let mut depths = Vec::with_capacity(target.0 as usize * target.1 as usize);
     render_depth(&depth, &scale, target, |value| depths.push(value));
+    fill_from_footprints(&mut depths, &depth, target);
     // The sides are at least 1 and the values as many as pixels, so none of these fails.
     match (
         resize(&frame, target.0, target.1, Filter::Triangle),
@@ -378,5 +404,32 @@ fn fitted(picture: RgbdPicture, size: (u32, u32), oversample: f64) -> Kept {
     ) {
         (Ok(frame), Ok(depth), Ok(camera)) => Kept { frame, depth, camera: camera.intrinsics() },
         _ => Kept { frame, depth, camera: camera.intrinsics() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realnet_core::Stamp;
+
+    /// One point in sixteen, as of a LiDAR, and none where it has no points.
+    #[test]
+    fn sparse_depths_survive_a_reduction() {
+        let (width, height) = (64_u32, 32_u32);
+        let depth = |x: u32, y: u32| {
+            if x % 4 == 3 && y % 4 == 3 && x < 32 { 2.0 + f32::from(y as u8) } else { 0.0 }
+        };
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let data = pixels.map(|(x, y)| depth(x, y)).collect();
+        let map = DepthMap::new(Stamp::ZERO, width, height, data).unwrap();
+        let mut depths = vec![0.0; 16 * 8];
+        depths[5] = 9.0;
+        fill_from_footprints(&mut depths, &map, (16, 8));
+        assert_eq!(depths[5], 9.0, "what is known stays");
+        for (place, depth) in depths.iter().enumerate().filter(|(place, _)| *place != 5) {
+            let (x, y) = (place % 16, place / 16);
+            let wanted = if x < 8 { 2.0 + (4 * y + 3) as f32 } else { 0.0 };
+            assert_eq!(*depth, wanted, "{x}, {y}");
+        }
     }
 }

@@ -27,15 +27,25 @@ pub struct HoldOut {
     pub block: usize,
     /// One block in so many is for validation (the last of them), at least 2.
     pub every: usize,
+    /// So many frames for training beside a block for validation are used for nothing: in a
+    /// video they are nearly the same pictures.
+    #[serde(default)]
+    pub gap: usize,
 }
 
 impl HoldOut {
-    /// What the frame at a place of its sequence is for.
+    /// What the frame at a place of its sequence is for; `None` for nothing.
     #[must_use]
-    pub fn part(&self, place: usize) -> DepthPart {
+    pub fn part(&self, place: usize) -> Option<DepthPart> {
         let every = self.every.max(2);
-        let block = place / self.block.max(1);
-        if block % every == every - 1 { DepthPart::Val } else { DepthPart::Train }
+        let is_val = |place: usize| (place / self.block.max(1)) % every == every - 1;
+        if is_val(place) {
+            return Some(DepthPart::Val);
+        }
+        let near = (1..=self.gap).any(|step| {
+            is_val(place.saturating_add(step)) || place.checked_sub(step).is_some_and(is_val)
+        });
+        (!near).then_some(DepthPart::Train)
     }
 }
 
@@ -124,7 +134,7 @@ impl DepthSource {
         limits: &Limits,
     ) -> Result<Vec<RgbdFrame>, DataError> {
         let message = |message: String| DataError::List { path: self.path.clone(), message };
-        if let Some(HoldOut { block, every }) = self.hold_out
+        if let Some(HoldOut { block, every, .. }) = self.hold_out
             && (block == 0 || every < 2)
         {
             let text =
@@ -178,8 +188,11 @@ impl DepthSource {
         };
         for sequence in &sequences {
             frames.extend(sequence.frames().iter().enumerate().filter_map(|(place, frame)| {
-                let of = self.hold_out.map_or(DepthPart::Train, |hold_out| hold_out.part(place));
-                (part == DepthPart::All || part == of).then(|| frame.clone())
+                let of = match self.hold_out {
+                    Some(hold_out) => hold_out.part(place),
+                    None => Some(DepthPart::Train),
+                };
+                (part == DepthPart::All || Some(part) == of).then(|| frame.clone())
             }));
         }
         Ok(frames)
@@ -210,7 +223,7 @@ fn subfolders(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
 ///   - path: nyu/train            # relative to this file
 ///     depth_scale: 1000          # PNG in millimetres
 ///     camera: { fx: 518.9, fy: 519.5, cx: 325.6, cy: 253.7, width: 640, height: 480 }
-///     hold_out: { block: 40, every: 5 }
+///     hold_out: { block: 40, every: 5, gap: 5 }
 ///   - path: simulated
 /// ```
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -241,5 +254,26 @@ impl SourceList {
             source.path = folder.join(&source.path);
         }
         Ok(list)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_are_held_out_with_a_gap() {
+        let parts = |gap| -> String {
+            let hold_out = HoldOut { block: 3, every: 3, gap };
+            let letter = |place| match hold_out.part(place) {
+                Some(DepthPart::Val) => 'v',
+                Some(_) => 't',
+                None => '-',
+            };
+            (0..20).map(letter).collect()
+        };
+        assert_eq!(parts(0), "ttttttvvvttttttvvvtt");
+        assert_eq!(parts(2), "tttt--vvv--tt--vvv--");
+        assert_eq!(parts(9), "------vvv------vvv--");
     }
 }

@@ -305,7 +305,7 @@ fn folders_are_checked_and_divided_by_blocks() {
     let source = DepthSource {
         depth_scale: Some(1000.0),
         camera: Some(given()),
-        hold_out: Some(HoldOut { block: 5, every: 2 }),
+        hold_out: Some(HoldOut { block: 5, every: 2, gap: 0 }),
         ..DepthSource::new(folder.path())
     };
     let list = SourceList { sources: vec![source.clone()] };

@@ -88,6 +88,9 @@ struct DepthSettings {
     /// Frames of such a block: neighbours show the same place.
     #[arg(long, value_name = "FRAMES", default_value_t = 40)]
     hold_out_block: usize,
+    /// Frames on both sides of such a block that are used for nothing.
+    #[arg(long, value_name = "FRAMES", default_value_t = 5)]
+    hold_out_gap: usize,
     #[command(flatten)]
     #[serde(flatten)]
     coding: CodingArgs,
@@ -288,8 +291,9 @@ impl DepthSettings {
         let mut list = SourceList::open(data).or_bad_input()?;
         if data.is_dir() {
             let (block, every) = (self.hold_out_block, self.hold_out_every);
+            let gap = self.hold_out_gap;
             list.sources.iter_mut().for_each(|source| {
-                source.hold_out = Some(HoldOut { block, every });
+                source.hold_out = Some(HoldOut { block, every, gap });
                 source.depth_scale = self.depth_scale;
             });
         } else if self.depth_scale.is_some() {
