@@ -512,6 +512,7 @@ impl Parts<'_> {
             max_depth: settings.coding.cap,
             ..DepthProtocol::new("as in the files")
         };
+        console.line(format!("validation: compared at {}; {protocol}", settings.imgsz));
         let (loader, validation, seed) = (self.loader, self.validation, u64::from(learn.seed));
         let task = DepthTask::<N>::new(loader, self.loss, validation, protocol, seed);
         let task = task.or_bad_input()?;
