@@ -24,13 +24,15 @@ pub trait Task {
     /// What can go wrong with data.
     type Error: Error + Send + Sync + 'static;
 
-    /// The batches of an epoch, in an order that depends on `epoch` and the task alone.
+    /// The batches of an epoch from the one of number `first` on, in an order that depends on
+    /// `epoch` and the task alone.
     ///
     /// # Errors
     /// When the data cannot be read at all.
     fn batches(
         &self,
         epoch: usize,
+        first: usize,
     ) -> Result<impl Iterator<Item = Result<Self::Batch, Self::Error>>, Self::Error>;
 
     /// Steps in an epoch.
@@ -222,7 +224,8 @@ pub struct EpochReport {
 
 /// Is told how it goes, and may end it.
 pub trait Observer<M: Module> {
-    /// After a step. Break ends the training; this epoch is lost.
+    /// After a step. Break ends the training after the step of the optimiser that this one
+    /// belongs to.
     fn step(&mut self, report: &StepReport<'_>) -> ControlFlow<()>;
 
     /// After an epoch and its checkpoint. `model` is the moving average.
@@ -252,6 +255,18 @@ pub struct Trainer<T: Task> {
     optimizer: ModuleOptimizer,
     ema: Ema<T::Model>,
     history: Vec<EpochReport>,
+    /// The epoch that was begun.
+    begun: Option<Begun>,
+}
+
+/// An epoch up to a step, with nothing waiting to be added up.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Begun {
+    steps: usize,
+    samples: usize,
+    /// Of the loss and its parts over the samples.
+    sums: Vec<f64>,
+    lr: f64,
 }
 
 impl<T: Task> Trainer<T> {
@@ -261,7 +276,8 @@ impl<T: Task> Trainer<T> {
         let [decay, ramp] = options.ema;
         let ema = Ema::new(model.valid(), 0, decay, ramp);
         let optimizer = options.optimizer.init(options.weight_decay);
-        Self { task, options, device, model, optimizer, ema, history: Vec::new() }
+        let history = Vec::new();
+        Self { task, options, device, model, optimizer, ema, history, begun: None }
     }
 
     /// Goes on where the checkpoint `path` was written. `model` is one of the same shape.
@@ -298,6 +314,12 @@ impl<T: Task> Trainer<T> {
         &self.history
     }
 
+    /// Steps of the epoch that was begun and interrupted; 0 at the border of two epochs.
+    #[must_use]
+    pub fn steps_begun(&self) -> usize {
+        self.begun.as_ref().map_or(0, |begun| begun.steps)
+    }
+
     /// The moving average: what is to be used.
     #[must_use]
     pub const fn average(&self) -> &T::Model {
@@ -311,8 +333,8 @@ impl<T: Task> Trainer<T> {
     }
 
     /// Trains until the end. Before the first step the network is judged once, so that what
-    /// keeps it from being judged is found then. After each epoch a checkpoint is written to `checkpoint`, whole
-    /// or not at all.
+    /// keeps it from being judged is found then. After each epoch, and where the observer ends
+    /// it, a checkpoint is written to `checkpoint`, whole or not at all.
     ///
     /// # Errors
     /// [`TrainError`]; the last checkpoint is still there.
@@ -321,7 +343,7 @@ impl<T: Task> Trainer<T> {
         checkpoint: Option<&Path>,
         observer: &mut impl Observer<T::Model>,
     ) -> Result<Ended, TrainError> {
-        if self.history.is_empty() && self.options.epochs > 0 {
+        if self.history.is_empty() && self.begun.is_none() && self.options.epochs > 0 {
             // What keeps it from being judged is to be known before hours of training.
             let found = self.task.validate(self.ema.model());
             found.map_err(|e| TrainError::Data { epoch: 0, source: Box::new(e) })?;
@@ -331,6 +353,9 @@ impl<T: Task> Trainer<T> {
                 return Ok(Ended::Patience);
             }
             let Some(report) = self.epoch(observer)? else {
+                if let (Some(path), Some(_)) = (checkpoint, &self.begun) {
+                    self.save(path)?;
+                }
                 return Ok(Ended::Interrupted);
             };
             self.history.push(report.clone());
@@ -363,12 +388,18 @@ impl<T: Task> Trainer<T> {
         let epoch = self.history.len();
         let data = |source: T::Error| TrainError::Data { epoch, source: Box::new(source) };
         let steps = self.task.steps();
-        let mut sums = vec![0.0; T::PARTS.len() + 1];
-        let (mut seen, mut samples) = (0_usize, 0_usize);
-        let mut lr = self.options.lr_at(epoch as f64);
+        let fresh = || Begun {
+            steps: 0,
+            samples: 0,
+            sums: vec![0.0; T::PARTS.len() + 1],
+            lr: self.options.lr_at(epoch as f64),
+        };
+        let Begun { steps: mut seen, mut samples, mut sums, mut lr } =
+            self.begun.take().unwrap_or_else(fresh);
         let mut gathered = GradientsAccumulator::new();
         let mut waiting = 0;
-        for batch in self.task.batches(epoch).map_err(data)? {
+        let mut ends = false;
+        for batch in self.task.batches(epoch, seen).map_err(data)? {
             let batch = batch.map_err(data)?;
             let step = seen;
             lr = self.options.lr_at(epoch as f64 + (step + 1) as f64 / steps.max(1) as f64);
@@ -402,7 +433,9 @@ impl<T: Task> Trainer<T> {
             }
             let report =
                 StepReport { epoch, step, steps, loss: value, parts: &parts, lr, gradient };
-            if observer.step(&report).is_break() {
+            ends |= observer.step(&report).is_break();
+            if ends && waiting == 0 {
+                self.begun = Some(Begun { steps: seen, samples, sums, lr });
                 return Ok(None);
             }
         }

@@ -110,7 +110,7 @@ fn steps_are_the_same_each_time() {
     let losses = |seed: u64, epoch: usize| -> Vec<(f32, Vec<f32>)> {
         let task = task(&[1.0, 2.0, 3.0, 4.0], seed);
         assert_eq!(task.steps(), 2);
-        let steps = task.batches(epoch).unwrap();
+        let steps = task.batches(epoch, 0).unwrap();
         let losses = steps.map(|step| {
             let Loss { total, parts, samples } = task.loss(&net, step.unwrap(), &device);
             assert_eq!(samples, 2);
@@ -123,8 +123,12 @@ fn steps_are_the_same_each_time() {
     assert_ne!(losses(1, 0), losses(2, 0));
     let seeds = |epoch| -> Vec<u64> {
         let task = task(&[1.0, 2.0, 3.0, 4.0], 1);
-        let steps = task.batches(epoch).unwrap();
-        steps.map(|step| step.unwrap().seed).collect()
+        let steps = task.batches(epoch, 0).unwrap();
+        let seeds: Vec<u64> = steps.map(|step| step.unwrap().seed).collect();
+        // From the second one on they are the same.
+        let rest = task.batches(epoch, 1).unwrap().map(|step| step.unwrap().seed);
+        assert!(rest.eq(seeds[1..].iter().copied()));
+        seeds
     };
     let mut all = [seeds(0), seeds(1)].concat();
     all.sort_unstable();

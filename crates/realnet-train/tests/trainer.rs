@@ -70,9 +70,10 @@ impl Task for Brightness {
     fn batches(
         &self,
         epoch: usize,
+        first: usize,
     ) -> Result<impl Iterator<Item = Result<Self::Batch, Infallible>>, Infallible> {
         let same = self.same;
-        Ok((0..5).map(move |step| Ok(if same { batch(0, 0) } else { batch(epoch, step) })))
+        Ok((first..5).map(move |step| Ok(if same { batch(0, 0) } else { batch(epoch, step) })))
     }
 
     fn steps(&self) -> usize {
@@ -179,14 +180,16 @@ fn a_stopped_training_goes_on_to_the_same_result() {
         let mut half = trainer(optimizer);
         let mut observer = Until { epochs: 3, ..never() };
         assert_eq!(half.run(Some(&path), &mut observer).unwrap(), Ended::Interrupted);
-        // What comes after the checkpoint is lost.
+        // Inside the next epoch, between two batches that are one step: the second one is
+        // still made.
         let mut observer = Until { steps: 18, ..never() };
         assert_eq!(half.run(Some(&path), &mut observer).unwrap(), Ended::Interrupted);
+        assert_eq!((half.history().len(), half.steps_begun()), (3, 4));
         let task = Brightness::default();
         let mut resumed =
             Trainer::resume(task, Net::new(&device()), options(optimizer), device(), &path)
                 .unwrap();
-        assert_eq!(resumed.history().len(), 3);
+        assert_eq!((resumed.history().len(), resumed.steps_begun()), (3, 4));
         assert_eq!(resumed.run(Some(&path), &mut never()).unwrap(), Ended::Finished);
         assert_eq!(resumed.history(), whole.history());
         let weights = |trainer: &Trainer<Brightness>| {

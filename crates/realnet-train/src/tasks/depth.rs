@@ -141,10 +141,11 @@ impl<N: DepthNet> Task for DepthTask<N> {
     fn batches(
         &self,
         epoch: usize,
+        first: usize,
     ) -> Result<impl Iterator<Item = Result<DepthStep, DepthTaskError>>, DepthTaskError> {
         let number = u32::try_from(epoch).unwrap_or(u32::MAX);
-        let first = (epoch as u64) << 32;
-        Ok(self.loader.epoch(number).zip(first..).map(|(samples, step)| {
+        let start = ((epoch as u64) << 32) + first as u64;
+        Ok(self.loader.epoch_from(number, first).zip(start..).map(|(samples, step)| {
             let seed = self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ step;
             Ok(DepthStep { batch: DepthBatch::collate(&samples?), seed })
         }))

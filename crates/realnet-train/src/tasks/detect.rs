@@ -88,10 +88,11 @@ impl Task for DetectionTask {
     fn batches(
         &self,
         epoch: usize,
+        first: usize,
     ) -> Result<impl Iterator<Item = Result<DetectionBatch, DetectionTaskError>>, DetectionTaskError>
     {
         let epoch = u32::try_from(epoch).unwrap_or(u32::MAX);
-        Ok(self.loader.epoch(epoch).map(|batch| {
+        Ok(self.loader.epoch_from(epoch, first).map(|batch| {
             batch.map(|samples| DetectionBatch::collate(&samples)).map_err(Into::into)
         }))
     }

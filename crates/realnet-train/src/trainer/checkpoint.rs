@@ -1,6 +1,6 @@
 //! A training as a file.
 
-use super::{EpochReport, Task, Trainer};
+use super::{Begun, EpochReport, Task, Trainer};
 use crate::optim::Ema;
 use burn::module::Module;
 use burn::optim::OptimizerRecord;
@@ -69,6 +69,8 @@ struct Header {
     /// Updates of the moving average.
     updates: u64,
     history: Vec<EpochReport>,
+    #[serde(default)]
+    begun: Option<Begun>,
     /// Bytes of the records.
     lengths: [usize; RECORDS],
 }
@@ -98,6 +100,7 @@ impl<T: Task> Trainer<T> {
             options: self.options.clone(),
             updates: self.ema.updates(),
             history: self.history.clone(),
+            begun: self.begun.clone(),
             lengths: std::array::from_fn(|i| records[i].len()),
         };
         let header = serde_json::to_vec(&header).map_err(|e| store("history")(&e))?;
@@ -147,6 +150,7 @@ impl<T: Task> Trainer<T> {
         self.optimizer =
             self.options.optimizer.init(self.options.weight_decay).load_record(optimizer);
         self.history = header.history;
+        self.begun = header.begun;
         Ok(())
     }
 

@@ -76,7 +76,7 @@ impl Folder {
         }
         if !folder.checkpoint().exists() {
             return Err(bad_input(format!(
-                "no epoch of the run in {shown} was finished: there is nothing to go on with. \
+                "the run in {shown} has no {CHECKPOINT}: there is nothing to go on with. \
                  Start again: realnet train {task} --config {shown}/{ARGS} --out {shown}"
             )));
         }

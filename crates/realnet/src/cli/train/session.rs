@@ -43,7 +43,10 @@ pub(super) fn going_on<T: Task>(trainer: &Trainer<T>) -> String {
     if done >= epochs {
         return format!("all {epochs} epochs are done; --epochs N goes on to N");
     }
-    format!("going on after epoch {done} of {epochs}")
+    match trainer.steps_begun() {
+        0 => format!("going on after epoch {done} of {epochs}"),
+        steps => format!("going on in epoch {} of {epochs}, after step {steps}", done + 1),
+    }
 }
 
 /// A training that goes on.
@@ -150,12 +153,19 @@ It is {folder}/{} (to \
     /// What is safe after `whole` epochs, and how to go on.
     fn advice(&self, whole: usize) -> String {
         let (checkpoint, folder) = (self.folder.checkpoint(), self.folder.path().display());
-        if whole == 0 {
-            return "no epoch was finished, so there is nothing to go on with".to_owned();
-        }
+        // Only a checkpoint that was written says where it stands.
+        let steps =
+            if whole == self.trainer.history().len() { self.trainer.steps_begun() } else { 0 };
+        let until = match (whole, steps) {
+            (0, 0) if !checkpoint.exists() => {
+                return "nothing was learned yet that could be gone on with".to_owned();
+            }
+            (0, 0) => "where this run began".to_owned(),
+            (_, 0) => format!("the end of epoch {whole}"),
+            _ => format!("step {steps} of epoch {}", whole + 1),
+        };
         format!(
-            "{} holds everything up to the end of epoch {whole}; go on: realnet train {} --resume \
-             {folder}",
+            "{} holds everything up to {until}; go on: realnet train {} --resume {folder}",
             checkpoint.display(),
             L::NAME
         )
