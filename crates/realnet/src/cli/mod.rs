@@ -17,6 +17,10 @@ mod progress;
 mod sim;
 mod ticks;
 mod track;
+#[cfg(feature = "train")]
+mod train;
+#[cfg(not(feature = "train"))]
+#[path = "train_missing.rs"]
 mod train;
 mod val;
 
