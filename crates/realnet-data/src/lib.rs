@@ -143,6 +143,14 @@ pub enum DataError {
     /// A camera that is none.
     #[error(transparent)]
     CameraModel(#[from] CameraError),
+    /// A class that a set does not name.
+    #[error("class {name:?} is not one of {}", known.join(", "))]
+    UnknownClass {
+        /// The class that was asked for.
+        name: String,
+        /// The set's own.
+        known: Vec<String>,
+    },
     /// Nothing is left after the check.
     #[error("nothing to learn from is left: {report}")]
     NothingLeft {

@@ -198,6 +198,37 @@ impl DetectionSet {
         self
     }
 
+    /// The same pictures with the objects of these classes alone, which are numbered in the
+    /// order given; what else is labelled becomes background, from which the network learns
+    /// what its target is not.
+    ///
+    /// # Errors
+    /// [`DataError::UnknownClass`] for a name that the set does not have, and
+    /// [`DataError::NothingLeft`] where no object is of these classes.
+    pub fn with_classes(mut self, classes: &[String]) -> Result<Self, DataError> {
+        let new_id = |old: &String| (0..).zip(classes).find(|(_, name)| *name == old);
+        if let Some(name) = classes.iter().find(|name| !self.names.contains(name)) {
+            return Err(DataError::UnknownClass { name: name.clone(), known: self.names });
+        }
+        let ids: Vec<_> = self.names.iter().map(|old| new_id(old).map(|(id, _)| id)).collect();
+        for image in &mut self.images {
+            image.targets.retain_mut(|target| {
+                match ids.get(target.class_id as usize).copied().flatten() {
+                    Some(id) => {
+                        target.class_id = id;
+                        true
+                    }
+                    None => false,
+                }
+            });
+        }
+        if self.images.iter().all(|image| image.targets.is_empty()) {
+            return Err(DataError::NothingLeft { report: Box::new(self.report) });
+        }
+        self.names = classes.to_vec();
+        Ok(self)
+    }
+
     /// The picture of an index, RGB, its longer side as long as the network's input.
     ///
     /// # Errors
@@ -377,5 +408,31 @@ mod tests {
         let frame = set.frame(0).unwrap();
         assert_eq!((frame.width(), frame.height()), (32, 16));
         assert!(set.frame(1).is_err());
+    }
+    #[test]
+    fn some_classes_and_the_rest_is_background() {
+        let frame = |seed| Frame::rgb8(Stamp::ZERO, 40, 20, vec![seed; 2400]).unwrap();
+        let target = |class_id| Target { class_id, cx: 0.5, cy: 0.5, w: 0.2, h: 0.4 };
+        let set = || {
+            let pictures = vec![
+                (frame(1), vec![target(0), target(2), target(1)]),
+                (frame(2), vec![target(1)]),
+            ];
+            let names = ["car", "truck", "robot"].map(str::to_owned).to_vec();
+            DetectionSet::from_memory(names, pictures, 32).unwrap()
+        };
+        let some = set().with_classes(&["robot".to_owned(), "car".to_owned()]).unwrap();
+        assert_eq!(some.names(), ["robot", "car"]);
+        let ids = |index: usize| {
+            some.images()[index].targets.iter().map(|target| target.class_id).collect::<Vec<_>>()
+        };
+        assert_eq!((ids(0), ids(1)), (vec![1, 0], vec![]));
+
+        let error = set().with_classes(&["cart".to_owned()]).unwrap_err();
+        assert_eq!(error.to_string(), "class \"cart\" is not one of car, truck, robot");
+        let none = vec![(frame(3), vec![target(0)])];
+        let none = DetectionSet::from_memory(set().names().to_vec(), none, 32).unwrap();
+        let error = none.with_classes(&["truck".to_owned()]).unwrap_err();
+        assert!(matches!(error, DataError::NothingLeft { .. }));
     }
 }

@@ -74,7 +74,10 @@ struct DetectSettings {
     /// Anchors: fitted to the data where those of the network do not fit, or kept.
     #[arg(long, value_enum, default_value_t = AnchorsFlag::Auto)]
     anchors: AnchorsFlag,
-    /// Everything that is labelled is one class of this name.
+    /// Only these classes are learned; what else is labelled is background.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    classes: Option<Vec<String>>,
+    /// Everything that is labelled (of --classes) is one class of this name.
     #[arg(long, value_name = "NAME")]
     single_cls: Option<String>,
     /// No mosaics in the last epochs: pictures as they really are.
@@ -206,6 +209,10 @@ impl DetectSettings {
     fn set(&self, split: &str) -> Result<Arc<DetectionSet>> {
         let data = self.data()?;
         let set = DetectionSet::open(data, split, self.imgsz, &self.learn.set());
+        let set = match &self.classes {
+            Some(classes) => set.and_then(|set| set.with_classes(classes)),
+            None => set,
+        };
         let set = set.with_context(|| format!("{split} of {}", data.display())).or_bad_input()?;
         Ok(Arc::new(match &self.single_cls {
             Some(name) => set.with_single_class(name),
@@ -213,9 +220,12 @@ impl DetectSettings {
         }))
     }
 
-    fn classes(&self) -> Result<Vec<String>> {
-        let names = YoloDataset::open(self.data()?).or_bad_input()?.names().to_vec();
-        Ok(self.single_cls.clone().map_or(names, |name| vec![name]))
+    fn names(&self) -> Result<Vec<String>> {
+        Ok(match (&self.single_cls, &self.classes) {
+            (Some(name), _) => vec![name.clone()],
+            (None, Some(classes)) => classes.clone(),
+            (None, None) => YoloDataset::open(self.data()?).or_bad_input()?.names().to_vec(),
+        })
     }
 
     /// Fits the anchors to the boxes of the data, and says how they fit.
@@ -311,7 +321,7 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
     }
 
     // Before the pictures, which take time: what is wrong with the network is said at once.
-    let classes = settings.classes()?;
+    let classes = settings.names()?;
     let mut origin = match opened.network::<Built>()? {
         Some(built) => {
             built.check_classes(&classes)?;
