@@ -12,15 +12,17 @@ use realnet_nn::weights;
 use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::ops::ControlFlow;
+use std::panic::resume_unwind;
 use std::path::Path;
+use std::thread;
 use thiserror::Error;
 
 /// What is learned: a loss of batches, and figures that say how good a network is.
-pub trait Task {
+pub trait Task: Sync {
     /// The network.
     type Model: Module;
     /// Samples of one step, and what is wanted of them.
-    type Batch;
+    type Batch: Send;
     /// What can go wrong with data.
     type Error: Error + Send + Sync + 'static;
 
@@ -251,6 +253,8 @@ pub struct Trainer<T: Task> {
     task: T,
     options: TrainOptions,
     device: Device,
+    /// Others that compute batches of the same step.
+    others: Vec<Device>,
     model: T::Model,
     optimizer: ModuleOptimizer,
     ema: Ema<T::Model>,
@@ -269,6 +273,33 @@ struct Begun {
     lr: f64,
 }
 
+/// A batch after its backward pass.
+struct Computed {
+    /// Mean of the samples.
+    loss: f32,
+    parts: Vec<f32>,
+    samples: usize,
+    gradients: GradientsParams,
+}
+
+impl Computed {
+    /// `share` of a step's gradient is this batch's, where the loss is a mean.
+    fn new<T: Task>(
+        task: &T,
+        model: &T::Model,
+        batch: T::Batch,
+        device: &Device,
+        share: f32,
+    ) -> Self {
+        let Loss { total, parts, samples } = task.loss(model, batch, device);
+        let loss: f32 = total.clone().into_scalar();
+        let loss = if T::IS_MEAN { loss } else { loss / samples.max(1) as f32 };
+        let total = if T::IS_MEAN { total * share } else { total };
+        let gradients = GradientsParams::from_grads(total.backward(), model);
+        Self { loss, parts, samples, gradients }
+    }
+}
+
 impl<T: Task> Trainer<T> {
     /// Begins with `model`, which lives on `device`, a device with differentiation.
     #[must_use]
@@ -276,8 +307,18 @@ impl<T: Task> Trainer<T> {
         let [decay, ramp] = options.ema;
         let ema = Ema::new(model.valid(), 0, decay, ramp);
         let optimizer = options.optimizer.init(options.weight_decay);
-        let history = Vec::new();
-        Self { task, options, device, model, optimizer, ema, history, begun: None }
+        let (others, history) = (Vec::new(), Vec::new());
+        Self { task, options, device, others, model, optimizer, ema, history, begun: None }
+    }
+
+    /// Divides the batches that are added up to one step (`accumulate` of them) among the
+    /// device of the network and these: data parallelism. The network comes to the same
+    /// weights as without them, to the rounding of the devices; its running statistics are
+    /// those of the batches that its own device has seen.
+    #[must_use]
+    pub fn with_devices(mut self, others: Vec<Device>) -> Self {
+        self.others = others;
+        self
     }
 
     /// Goes on where the checkpoint `path` was written. `model` is one of the same shape.
@@ -381,6 +422,32 @@ impl<T: Task> Trainer<T> {
         self.best().is_some_and(|(epoch, _)| self.history.len() > epoch + self.options.patience)
     }
 
+    /// The gradients of batches of one step, each on a device of its own, in their order.
+    fn gradients(&self, batches: Vec<T::Batch>) -> Vec<Computed> {
+        let (task, home) = (&self.task, &self.device);
+        let share = 1.0 / self.options.accumulate.max(1) as f32;
+        let mut batches = batches.into_iter();
+        let first = batches.next();
+        thread::scope(|scope| {
+            let elsewhere = batches.zip(&self.others).map(|(batch, device)| {
+                // Copies with running statistics of their own.
+                let model = self.model.valid().train().fork(device);
+                scope.spawn(move || {
+                    let mut computed = Computed::new(task, &model, batch, device, share);
+                    computed.gradients = computed.gradients.to_device(home, &model);
+                    computed
+                })
+            });
+            let elsewhere: Vec<_> = elsewhere.collect();
+            let here = first.map(|b| Computed::new(task, &self.model, b, home, share));
+            let joined = elsewhere.into_iter().map(|thread| match thread.join() {
+                Ok(computed) => computed,
+                Err(panic) => resume_unwind(panic),
+            });
+            here.into_iter().chain(joined).collect()
+        })
+    }
+
     fn epoch(
         &mut self,
         observer: &mut impl Observer<T::Model>,
@@ -399,41 +466,44 @@ impl<T: Task> Trainer<T> {
         let mut gathered = GradientsAccumulator::new();
         let mut waiting = 0;
         let mut ends = false;
-        for batch in self.task.batches(epoch, seen).map_err(data)? {
-            let batch = batch.map_err(data)?;
-            let step = seen;
-            lr = self.options.lr_at(epoch as f64 + (step + 1) as f64 / steps.max(1) as f64);
-            let Loss { total: loss, parts, samples: count } =
-                self.task.loss(&self.model, batch, &self.device);
-            let value: f32 = loss.clone().into_scalar();
-            let value = if T::IS_MEAN { value } else { value / count.max(1) as f32 };
-            if !value.is_finite() {
-                return Err(TrainError::Diverged { epoch, step, loss: value, lr });
+        let accumulate = self.options.accumulate.max(1);
+        let mut batches = self.task.batches(epoch, seen).map_err(data)?;
+        loop {
+            let together = (accumulate - waiting).min(1 + self.others.len());
+            let group = batches.by_ref().take(together).collect::<Result<Vec<_>, _>>();
+            let computed = self.gradients(group.map_err(data)?);
+            if computed.is_empty() {
+                break;
             }
-            let loss = if T::IS_MEAN { loss / self.options.accumulate.max(1) as f32 } else { loss };
-            let gradients = GradientsParams::from_grads(loss.backward(), &self.model);
-            gathered.accumulate(&self.model, gradients);
-            waiting += 1;
-            seen += 1;
-            samples += count;
-            let mut gradient = None;
-            if waiting == self.options.accumulate.max(1) || seen == steps {
-                let mut gradients = gathered.grads();
-                let norm = clip_norm(&self.model, &mut gradients, self.options.clip);
-                if !norm.is_finite() {
+            for Computed { loss: value, parts, samples: count, gradients } in computed {
+                let step = seen;
+                lr = self.options.lr_at(epoch as f64 + (step + 1) as f64 / steps.max(1) as f64);
+                if !value.is_finite() {
                     return Err(TrainError::Diverged { epoch, step, loss: value, lr });
                 }
-                gradient = Some(norm);
-                self.model = self.optimizer.step(lr, self.model.clone(), gradients);
-                self.ema.update(&self.model.valid());
-                waiting = 0;
+                gathered.accumulate(&self.model, gradients);
+                waiting += 1;
+                seen += 1;
+                samples += count;
+                let mut gradient = None;
+                if waiting == accumulate || seen == steps {
+                    let mut gradients = gathered.grads();
+                    let norm = clip_norm(&self.model, &mut gradients, self.options.clip);
+                    if !norm.is_finite() {
+                        return Err(TrainError::Diverged { epoch, step, loss: value, lr });
+                    }
+                    gradient = Some(norm);
+                    self.model = self.optimizer.step(lr, self.model.clone(), gradients);
+                    self.ema.update(&self.model.valid());
+                    waiting = 0;
+                }
+                for (sum, part) in sums.iter_mut().zip([value].iter().chain(&parts)) {
+                    *sum += f64::from(*part) * count as f64;
+                }
+                let report =
+                    StepReport { epoch, step, steps, loss: value, parts: &parts, lr, gradient };
+                ends |= observer.step(&report).is_break();
             }
-            for (sum, part) in sums.iter_mut().zip([value].iter().chain(&parts)) {
-                *sum += f64::from(*part) * count as f64;
-            }
-            let report =
-                StepReport { epoch, step, steps, loss: value, parts: &parts, lr, gradient };
-            ends |= observer.step(&report).is_break();
             if ends && waiting == 0 {
                 self.begun = Some(Begun { steps: seen, samples, sums, lr });
                 return Ok(None);

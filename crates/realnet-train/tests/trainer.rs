@@ -222,6 +222,30 @@ fn added_up_batches_are_one_large_one() {
     assert!((double[2] - single[0] / 2.0).abs() < 1e-5 * single[0], "{double:?}, {single:?}");
 }
 
+/// The batches of a step on three devices at once: the same sums in the same order.
+#[test]
+fn several_devices_come_to_the_same_weights() {
+    for (accumulate, others) in [(4, 2), (3, 2), (2, 1), (1, 3)] {
+        let options = TrainOptions { accumulate, ..options(Optimizer::Sgd { momentum: 0.9 }) };
+        let trained = |others: Vec<Device>| {
+            let task = Brightness::default();
+            let trainer = Trainer::new(task, net(), options.clone(), device());
+            let mut trainer = trainer.with_devices(others);
+            assert_eq!(trainer.run(None, &mut never()).unwrap(), Ended::Finished);
+            let losses: Vec<f64> = trainer.history().iter().map(|report| report.loss).collect();
+            let weights = tensors(&trainer.model().valid()).unwrap();
+            let (running, learned): (Vec<_>, Vec<_>) =
+                weights.into_iter().partition(|(name, _)| name.contains("running"));
+            (losses, learned, running)
+        };
+        let alone = trained(Vec::new());
+        let together = trained((0..others).map(|_| device()).collect());
+        assert_eq!((&alone.0, &alone.1), (&together.0, &together.1), "{accumulate} on {others}");
+        // Those of the first device's batches; all of them where a step is one batch.
+        assert_eq!(alone.2 == together.2, accumulate == 1);
+    }
+}
+
 /// Keeps the norms of the gradients.
 #[derive(Default)]
 struct Norms(Vec<f64>);

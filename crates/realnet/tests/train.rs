@@ -260,6 +260,31 @@ fn ctrl_c_leaves_what_goes_on_to_the_same_result() {
     says(&run, 2, &["--lr cannot be changed"]);
 }
 
+#[test]
+fn several_devices_and_those_that_are_not_there() {
+    let bench = Bench::new(8);
+    let more = ["--device", "cpu,cpu", "--epochs", "1", "--batch", "2", "--classes", "square"];
+    let words = ["device: cpu,cpu, a step is 2 batches of 2", "done after 1 epochs"];
+    says(&realnet(&bench.detect("two", &more)), 0, &words);
+    let options = std::fs::read_to_string(bench.path("two/args.toml")).unwrap();
+    for line in ["device = [\"cpu\", \"cpu\"]", "accumulate = 2", "classes = [\"square\"]"] {
+        assert!(options.contains(line), "{line}: {options}");
+    }
+    // The steps stay what they were on one device.
+    let run =
+        ["train", "detect", "--resume", &bench.text("two"), "--device", "cpu", "--epochs", "2"];
+    says(&realnet(&run), 0, &["device: cpu, a step is 2 batches of 2", "done after 2 epochs"]);
+
+    let refused = |more: &[&str], words: &[&str]| {
+        says(&realnet(&bench.detect("none", more)), 2, words);
+        assert!(!bench.path("none").join("args.toml").exists());
+    };
+    refused(&["--device", "gpu"], &["\"gpu\" is not cpu, cuda"]);
+    refused(&["--device", "cuda:77"], &["--device cuda:77"]);
+    refused(&["--device", "cpu,cpu", "--accumulate", "3"], &["accumulate is 3"]);
+    refused(&["--classes", "circle"], &["class \"circle\" is not one of square"]);
+}
+
 #[cfg(unix)]
 #[test]
 fn an_interrupted_first_epoch_goes_on_where_it_was() {

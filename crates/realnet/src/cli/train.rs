@@ -8,6 +8,7 @@ mod console;
 mod data;
 mod depth;
 mod detect;
+mod device;
 mod folder;
 mod given;
 mod opened;

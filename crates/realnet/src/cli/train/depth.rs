@@ -473,10 +473,11 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
         args: recipe::text(TASK, &settings, &augment, &Built::new(&network, &coding))?,
         is_changed: opened.is_changed(given),
     };
-    let device = settings.learn.device.start(seed);
+    let devices = settings.learn.devices()?;
+    let device = &devices.0;
     match network {
-        Network::Lite(config) => parts.train(VnlLite::new(&config, &device), device),
-        Network::Vnl(config) => parts.train(Vnl::new(&config, &device), device),
+        Network::Lite(config) => parts.train(VnlLite::new(&config, device), devices),
+        Network::Vnl(config) => parts.train(Vnl::new(&config, device), devices),
     }
 }
 
@@ -497,7 +498,11 @@ struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    fn train<N: DepthNet>(self, network: N, device: Device) -> Result<Outcome> {
+    fn train<N: DepthNet>(
+        self,
+        network: N,
+        (device, others): (Device, Vec<Device>),
+    ) -> Result<Outcome> {
         let Self { settings, folder, console, .. } = self;
         let network = match &self.start {
             Some(start) => {
@@ -531,10 +536,12 @@ impl Parts<'_> {
                 Trainer::new(task, network, options, device)
             }
         };
+        let trainer = trainer.with_devices(others);
         if self.is_changed {
             folder.write_args(&self.args)?;
         }
-        console.line(format!("device: {}; results in {}", learn.device, folder.path().display()));
+        let devices = learn.devices_in_words();
+        console.line(format!("device: {devices}; results in {}", folder.path().display()));
         let learning = Depth { coding: self.coding, size: settings.imgsz, net: PhantomData };
         Session { learning, trainer, folder, console, batch: learn.batch }.run()
     }

@@ -340,7 +340,7 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
         say("interrupted before the first step");
         return Ok(Outcome::Interrupted);
     }
-    let device = settings.learn.device.start(settings.learn.seed);
+    let (device, others) = settings.learn.devices()?;
     let (network, built) = match &mut origin {
         Origin::New(start) => {
             console.line(settings.fit(&mut start.config.anchors, &train));
@@ -372,11 +372,12 @@ pub(crate) fn run(given: &Given<DetectArgs>) -> Result<Outcome> {
             Trainer::new(task, network, options, device)
         }
     };
+    let trainer = trainer.with_devices(others);
     if opened.is_changed(given) {
         folder.write_args(&recipe::text(TASK, &settings, &augment, &built)?)?;
     }
-    let device = settings.learn.device;
-    console.line(format!("device: {device}; results in {}", folder.path().display()));
+    let devices = settings.learn.devices_in_words();
+    console.line(format!("device: {devices}; results in {}", folder.path().display()));
     let learning = Detector { classes, imgsz: settings.imgsz };
     let batch = settings.learn.batch;
     Session { learning, trainer, folder: &folder, console: &mut console, batch }.run()

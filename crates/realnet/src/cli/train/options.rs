@@ -1,5 +1,6 @@
 //! How it is learned: options of every training.
 
+use super::device::{self, DeviceFlag};
 use crate::cli::failure::bad_input;
 use anyhow::Result;
 use burn::tensor::Device;
@@ -10,7 +11,7 @@ use realnet_train::{
     trainer::TrainOptions,
 };
 use serde::{Deserialize, Serialize};
-use std::{fmt, path::PathBuf};
+use std::path::PathBuf;
 
 /// Where a run reads and writes. None of it changes the result.
 #[derive(Debug, Args)]
@@ -54,12 +55,12 @@ pub(super) struct LearnArgs {
     /// Times that all samples are seen.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub(super) epochs: usize,
-    /// Samples of a step.
+    /// Samples of a batch.
     #[arg(long, value_name = "N", default_value_t = 16)]
     pub(super) batch: usize,
-    /// Batches whose gradients are added up to one step.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) accumulate: usize,
+    /// Batches whose gradients are added up to one step [default: one a device].
+    #[arg(long, value_name = "N")]
+    pub(super) accumulate: Option<usize>,
     /// How gradients become steps.
     #[arg(long, value_enum, default_value_t = OptimizerFlag::Sgd)]
     pub(super) optimizer: OptimizerFlag,
@@ -97,9 +98,10 @@ pub(super) struct LearnArgs {
     /// Where all randomness comes from.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(super) seed: u32,
-    /// What computes.
-    #[arg(long, value_enum, default_value_t = DeviceFlag::Cpu)]
-    pub(super) device: DeviceFlag,
+    /// What computes: cpu, cuda:N or wgpu:N (programs built for it); several, separated by
+    /// commas, divide the batches of a step among them.
+    #[arg(long, value_name = "DEVICES", value_delimiter = ',', default_value = "cpu")]
+    pub(super) device: Vec<DeviceFlag>,
     /// Threads that make samples; 0 for one a core. The result does not depend on it.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(super) workers: usize,
@@ -113,7 +115,7 @@ pub(super) struct LearnArgs {
 const NOMINAL_BATCH: f64 = 64.0;
 
 /// Fields that may change when a run goes on.
-pub(super) const MAY_CHANGE: [&str; 4] = ["epochs", "patience", "workers", "cache"];
+pub(super) const MAY_CHANGE: [&str; 5] = ["device", "epochs", "patience", "workers", "cache"];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -130,33 +132,6 @@ pub(super) enum ScheduleFlag {
     Cosine,
     Linear,
     Step,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum DeviceFlag {
-    /// The processor, all cores.
-    Cpu,
-}
-
-impl fmt::Display for DeviceFlag {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Cpu => "cpu",
-        })
-    }
-}
-
-impl DeviceFlag {
-    /// The device, ready to differentiate, with its random numbers seeded.
-    pub(super) fn start(self, seed: u32) -> Device {
-        let device = match self {
-            Self::Cpu => Device::flex(),
-        };
-        let device = device.autodiff();
-        device.seed(u64::from(seed));
-        device
-    }
 }
 
 /// Refuses a number that is outside of its range.
@@ -179,7 +154,11 @@ impl LearnArgs {
         };
         whole("epochs", self.epochs, 1_000_000)?;
         whole("batch", self.batch, 4096)?;
-        whole("accumulate", self.accumulate, 4096)?;
+        let devices = self.device.len();
+        let accumulate = *self.accumulate.get_or_insert(devices);
+        let ok = (1..=4096).contains(&accumulate) && accumulate.is_multiple_of(devices.max(1));
+        let range = format!("from 1 to 4096, as many for each of the {devices} devices");
+        check("accumulate", accumulate as f64, ok, &range)?;
         whole("patience", self.patience, 1_000_000)?;
         check("workers", self.workers as f64, self.workers <= 1024, "from 0 to 1024")?;
         let share = |name, value: f64| {
@@ -202,13 +181,14 @@ impl LearnArgs {
     /// For the trainer.
     pub(super) fn options(&self) -> TrainOptions {
         let momentum = self.momentum.unwrap_or(0.9);
+        let accumulate = self.accumulate.unwrap_or(1);
         let nominal = match self.optimizer {
-            OptimizerFlag::Sgd => (self.batch * self.accumulate) as f64 / NOMINAL_BATCH,
+            OptimizerFlag::Sgd => (self.batch * accumulate) as f64 / NOMINAL_BATCH,
             OptimizerFlag::Adamw => 1.0,
         };
         TrainOptions {
             epochs: self.epochs,
-            accumulate: self.accumulate,
+            accumulate,
             optimizer: match self.optimizer {
                 OptimizerFlag::Sgd => Optimizer::Sgd { momentum },
                 OptimizerFlag::Adamw => Optimizer::AdamW { beta_1: momentum as f32, beta_2: 0.999 },
@@ -227,6 +207,22 @@ impl LearnArgs {
             patience: self.patience,
             seed: u64::from(self.seed),
         }
+    }
+
+    /// The first device, and the others.
+    pub(super) fn devices(&self) -> Result<(Device, Vec<Device>)> {
+        device::start(&self.device, self.seed)
+    }
+
+    /// What computes, in words.
+    pub(super) fn devices_in_words(&self) -> String {
+        let names: Vec<_> = self.device.iter().map(ToString::to_string).collect();
+        let accumulate = self.accumulate.unwrap_or(1);
+        let step = match accumulate {
+            1 => String::new(),
+            _ => format!(", a step is {accumulate} batches of {}", self.batch),
+        };
+        format!("{}{step}", names.join(","))
     }
 
     /// How the data are read.

@@ -74,6 +74,7 @@ impl<L: Learning> Session<'_, L> {
         let mut is_head_due = true;
         loop {
             let whole = self.trainer.history().len();
+            let is_whole = self.trainer.steps_begun() == 0;
             let start = Instant::now();
             // The observer ends it after each epoch.
             let ended = self.trainer.run(Some(&checkpoint), &mut watch);
@@ -84,7 +85,9 @@ impl<L: Learning> Session<'_, L> {
                 return Ok(self.end(ended));
             };
             let seconds = start.elapsed().as_secs_f64();
-            watch.epoch_took(seconds);
+            if is_whole {
+                watch.epoch_took(seconds);
+            }
             if std::mem::take(&mut is_head_due) {
                 self.console.row(table.head(&report));
             }

@@ -24,7 +24,7 @@ pub(super) struct Watch {
     bar: ProgressBar,
     /// When the first step of this epoch was done: the one before warms up.
     since: Option<(usize, Instant)>,
-    /// Seconds of the epochs so far, and how many they were.
+    /// Seconds of the whole epochs so far, and how many they were.
     took: (f64, u32),
     /// When the last line was written, where there is no bar.
     line: Option<Instant>,
@@ -37,7 +37,7 @@ impl Watch {
         Self { epochs, batch, parts, bar: ProgressBar::hidden(), since: None, took: (0.0, 0), line }
     }
 
-    /// An epoch with its validation took so long.
+    /// A whole epoch with its validation took so long.
     pub(super) fn epoch_took(&mut self, seconds: f64) {
         self.took = (self.took.0 + seconds, self.took.1 + 1);
     }
