@@ -511,7 +511,26 @@ fn depth_learns_goes_on_and_leaves_its_files() {
         assert!(value(&found[2], name) < 0.95 * value(&found[0], name), "{}", run.stdout);
     }
     assert!(found.iter().all(|epoch| (0.0..10.0).contains(&value(epoch, "abs_rel"))));
-    assert_eq!(listing(whole.as_ref()), FILES);
+    let mut files = FILES.to_vec();
+    files.push("val.txt");
+    files.sort_unstable();
+    assert_eq!(listing(whole.as_ref()), files);
+    // Another command compares the same pictures, and finds none of them among the others.
+    let list = path("whole/val.txt").display().to_string();
+    assert_eq!(std::fs::read_to_string(&list).unwrap().lines().skip(1).count(), 4);
+    let judged = |data: &str| {
+        let (scale, fx) = (["--depth-scale", "1000"], ["--fx", "64"]);
+        let model = path("whole/best.onnx").display().to_string();
+        let given = ["val", "depth", "--data", data, "--model", &model, "--split", &list, "--json"];
+        realnet(&[given.as_slice(), &scale, &fx].concat())
+    };
+    let run = judged(&data);
+    says(&run, 0, &[]);
+    let judged_by: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!(judged_by["images"], 4, "{}", run.stdout);
+    let other = path("others");
+    ramps(&other, 4);
+    says(&judged(&other.display().to_string()), 2, &["no picture with a depth map was chosen"]);
     // The file says how its numbers are metres.
     let coding = |name: &str| {
         DepthModel::open(&path(name).join("best.onnx")).unwrap();

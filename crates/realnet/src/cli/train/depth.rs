@@ -447,6 +447,7 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
     }
     let batch = settings.learn.batch;
     let samples = Arc::new(training(train)?);
+    let held_out = held_out(&val)?;
     let loss = settings.loss(&network, coding);
     let made = first(&*samples, seed, batch.min(BATCH_SHOWN))?;
     console.line(range_words(&loss, &made));
@@ -470,6 +471,7 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
         loader,
         validation,
         shown,
+        held_out,
         args: recipe::text(TASK, &settings, &augment, &Built::new(&network, &coding))?,
         is_changed: opened.is_changed(given),
     };
@@ -479,6 +481,17 @@ pub(crate) fn run(given: &Given<DepthArgs>) -> Result<Outcome> {
         Network::Lite(config) => parts.train(VnlLite::new(&config, device), devices),
         Network::Vnl(config) => parts.train(Vnl::new(&config, device), devices),
     }
+}
+
+/// The pictures of the validation, a path a line.
+fn held_out(val: &DepthSet) -> Result<String> {
+    let mut text = "# Not learned from: realnet val depth --data … --split THIS_FILE\n".to_owned();
+    for path in (0..val.len()).filter_map(|index| val.path(index)) {
+        let path = std::path::absolute(path).or_bad_input()?;
+        text.push_str(&path.display().to_string());
+        text.push('\n');
+    }
+    Ok(text)
 }
 
 /// All that a training of any network takes.
@@ -493,6 +506,7 @@ struct Parts<'a> {
     loader: Loader<DepthSamples>,
     validation: Loader<DepthSamples>,
     shown: Frame,
+    held_out: String,
     args: String,
     is_changed: bool,
 }
@@ -533,6 +547,7 @@ impl Parts<'_> {
             None => {
                 folder.clear()?;
                 folder.draw(folder::BATCH, &self.shown)?;
+                folder.write(folder::HELD_OUT, self.held_out.as_bytes())?;
                 Trainer::new(task, network, options, device)
             }
         };

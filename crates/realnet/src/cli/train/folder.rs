@@ -18,6 +18,8 @@ pub(super) const RESULTS: &str = "results.csv";
 pub(super) const CURVES: &str = "curves.png";
 /// The first samples.
 pub(super) const BATCH: &str = "batch.png";
+/// The pictures that it was judged by, and did not learn from.
+pub(super) const HELD_OUT: &str = "val.txt";
 /// The network after the last epoch.
 pub(super) const LAST: &str = "last.safetensors";
 /// The best one.
@@ -26,7 +28,8 @@ pub(super) const BEST: &str = "best.safetensors";
 pub(super) const BEST_ONNX: &str = "best.onnx";
 
 /// All that a run writes; with any of the first ones a folder holds a run.
-const FILES: [&str; 8] = [CHECKPOINT, BEST, LAST, BEST_ONNX, RESULTS, CURVES, BATCH, ARGS];
+const FILES: [&str; 9] =
+    [CHECKPOINT, BEST, LAST, BEST_ONNX, RESULTS, CURVES, BATCH, HELD_OUT, ARGS];
 const RUN: usize = 5;
 
 /// Where a run writes.

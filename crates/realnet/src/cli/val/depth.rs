@@ -207,7 +207,7 @@ impl Gathered {
 pub(crate) fn run(args: &DepthArgs) -> Result<Outcome> {
     let truth = args.protocol.truth.as_deref();
     let mut data = Data::open(&args.data, args.format, args.depth_scale, truth)?;
-    data.select(&args.select)?;
+    data.select(&args.data, &args.select)?;
     if data.samples.is_empty() {
         let folder = args.data.display();
         return Err(bad_input(format!("{folder}: no picture with a depth map was chosen")));

@@ -55,7 +55,8 @@ impl Format {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Pictures")]
 pub(super) struct SelectArgs {
-    /// Only the pictures that this file lists: a number or a name a line.
+    /// Only the pictures that this file lists: a number, a name or a path a line, such as the
+    /// val.txt of `realnet train depth`.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["from", "to"])]
     pub(super) split: Option<PathBuf>,
     /// The first number, as in the names of the pictures.
@@ -259,10 +260,10 @@ impl Data {
         })
     }
 
-    /// Keeps the pictures that were asked for.
-    pub(super) fn select(&mut self, args: &SelectArgs) -> Result<()> {
+    /// Keeps the pictures of `folder` that were asked for.
+    pub(super) fn select(&mut self, folder: &Path, args: &SelectArgs) -> Result<()> {
         if let Some(path) = &args.split {
-            self.keep_listed(path)?;
+            self.keep_listed(folder, path)?;
         }
         let (from, to) = (args.from.unwrap_or(0), args.to.unwrap_or(u64::MAX));
         if from > to {
@@ -281,23 +282,30 @@ impl Data {
         self.samples.iter().find(without).map_or(Ok(()), |sample| Err(sample.no_camera()))
     }
 
-    fn keep_listed(&mut self, path: &Path) -> Result<()> {
+    fn keep_listed(&mut self, folder: &Path, path: &Path) -> Result<()> {
         let text = std::fs::read_to_string(path)
             .with_context(|| format!("cannot read {}", path.display()))
             .or_bad_input()?;
-        // A picture is called by its name, its file's name or its number.
+        // A picture is called by its path, its name, its file's name or its number.
         let mut called: HashMap<PathBuf, Vec<usize>> = HashMap::new();
         let mut numbered: HashMap<u64, Vec<usize>> = HashMap::new();
         for (index, sample) in self.samples.iter().enumerate() {
             let (name, file) = (sample.name(), sample.color.file_name().unwrap_or_default());
             called.entry(name).or_default().push(index);
+            called.entry(std::path::absolute(&sample.color)?).or_default().push(index);
             called.entry(PathBuf::from(file)).or_default().push(index);
             numbered.entry(sample.number).or_default().push(index);
         }
+        let folder = std::path::absolute(folder)?;
+        let is_elsewhere = |words: &str| {
+            let path = Path::new(words);
+            path.is_absolute() && !path.starts_with(&folder)
+        };
         let mut kept: HashSet<usize> = HashSet::new();
         for (line, words) in (1..).zip(text.lines()) {
             let words = words.split('#').next().unwrap_or_default().trim();
-            if words.is_empty() {
+            // A list of `realnet train depth` may name pictures of several data sets.
+            if words.is_empty() || is_elsewhere(words) {
                 continue;
             }
             let by_number = words.parse().ok().and_then(|number: u64| numbered.get(&number));
