@@ -115,7 +115,7 @@ pub fn depth_onnx(
 }
 
 /// A checkpoint as a safetensors file: tensors as 32-bit floats; names of classes, strides,
-/// the epsilon of batch normalisation and the coding of depth as metadata.
+/// the epsilon of batch normalisation, the coding of depth and the input size as metadata.
 ///
 /// # Errors
 /// [`ExportNetworkError::Safetensors`].
@@ -148,6 +148,9 @@ pub fn safetensors(checkpoint: &Checkpoint) -> Result<Vec<u8>, ExportNetworkErro
     }
     if let Some(epsilon) = checkpoint.bn_eps {
         put("bn_eps", epsilon.into());
+    }
+    if let Some((width, height)) = checkpoint.size {
+        put("imgsz", vec![height, width].into());
     }
     if let Some(coding) = &checkpoint.depth {
         metadata.insert(DepthCoding::KEY.to_owned(), coding.to_json());

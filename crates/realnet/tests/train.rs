@@ -538,6 +538,11 @@ fn depth_learns_goes_on_and_leaves_its_files() {
     };
     let expected = DepthCoding { min: 0.02, max: 6.0, focal: 64.0, ..DepthCoding::default() };
     assert_eq!(coding("whole"), Some(expected));
+    // And which size it was trained at, which all commands take.
+    let weights = path("whole/best.safetensors");
+    assert_eq!(Checkpoint::read(&weights).unwrap().size, Some((SIDE, SIDE)));
+    let [weights, onnx] = [weights, path("x.onnx")].map(|path| path.display().to_string());
+    says(&realnet(&["convert", &weights, "-o", &onnx]), 0, &[&format!("input {SIDE}x{SIDE}")]);
 
     // One epoch or two, then the rest.
     let parts = path("parts").display().to_string();

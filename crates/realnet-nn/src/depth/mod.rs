@@ -59,7 +59,7 @@ pub enum DepthSize {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DepthOptions {
     /// Input size of the network, (width, height) in pixels; `None` takes the
-    /// file's own, or for weights [`DepthWeights::default_size`].
+    /// file's own, or for weights that tell none [`DepthWeights::default_size`].
     pub size: Option<(u32, u32)>,
     /// Which logits of the network.
     pub detail: Detail,

@@ -94,7 +94,7 @@ pub struct DepthModel {
 
 #[derive(Clone, Debug)]
 enum Source {
-    Weights(DepthWeights),
+    Weights { network: DepthWeights, size: (u32, u32) },
     Onnx { model: Box<OnnxModel>, metadata: DepthMetadata, size: (u32, u32) },
 }
 
@@ -120,7 +120,8 @@ impl DepthModel {
             Ok(checkpoint) => {
                 let network = DepthWeights::from_checkpoint(&checkpoint)
                     .map_err(|reason| DepthModelError::Import { name: owned(), reason })?;
-                return Ok(Self::from_weights(name, network));
+                let size = checkpoint.size.unwrap_or(network.default_size());
+                return Ok(Self { name: owned(), source: Source::Weights { network, size } });
             }
             Err(reason @ WeightsError::UnknownFormat { .. }) => reason,
             Err(reason) => return Err(DepthModelError::Weights { name: owned(), reason }),
@@ -137,7 +138,9 @@ impl DepthModel {
     /// A network in memory; `name` is for messages.
     #[must_use]
     pub fn from_weights(name: &str, network: impl Into<DepthWeights>) -> Self {
-        Self { name: name.to_owned(), source: Source::Weights(network.into()) }
+        let network = network.into();
+        let size = network.default_size();
+        Self { name: name.to_owned(), source: Source::Weights { network, size } }
     }
 
     fn from_onnx(name: &str, model: OnnxModel) -> Result<Self, DepthModelError> {
@@ -160,7 +163,7 @@ impl DepthModel {
     }
 
     /// The graph for an input of (width, height), cut to the logits asked for, and
-    /// what its file says. Without a size it is the file's own, or for weights
+    /// what its file says. Without a size it is the file's own, or for weights that tell none
     /// [`DepthWeights::default_size`].
     ///
     /// # Errors
@@ -174,8 +177,8 @@ impl DepthModel {
         let onnx = |reason| DepthModelError::Onnx { name: name(), reason };
         let bad_size = |reason| DepthModelError::Size { name: name(), reason };
         let (mut model, metadata) = match &self.source {
-            Source::Weights(network) => {
-                let (width, height) = size.unwrap_or(network.default_size());
+            Source::Weights { network, size: own } => {
+                let (width, height) = size.unwrap_or(*own);
                 let options =
                     OnnxOptions { width: width as usize, height: height as usize, half: false };
                 let bytes = network.to_onnx(&options).map_err(bad_size)?;

@@ -86,7 +86,7 @@ pub struct DetectorModel {
 #[derive(Clone, Debug)]
 enum Source {
     /// YOLOv5 weights: any input size.
-    Weights(Box<YoloV5>),
+    Weights { network: Box<YoloV5>, size: (u32, u32) },
     /// An ONNX file written by RealNet: any input size, by its raw heads.
     Heads { model: Box<OnnxModel>, heads: Heads, size: (u32, u32) },
     /// An ONNX file written by somebody else.
@@ -164,7 +164,8 @@ impl DetectorModel {
         let weights = YoloV5::from_checkpoint(checkpoint)
             .map_err(|reason| ModelError::Import { name: name.to_owned(), reason })?;
         let classes = weights.class_names().to_vec();
-        let source = Source::Weights(Box::new(weights));
+        let size = checkpoint.size.unwrap_or(DEFAULT_SIZE);
+        let source = Source::Weights { network: Box::new(weights), size };
         Ok(Self { name: name.to_owned(), classes, source })
     }
 
@@ -222,11 +223,11 @@ impl DetectorModel {
         let onnx = |reason| ModelError::Onnx { name: name(), reason };
         let bad_size = |reason| ModelError::Size { name: name(), reason };
         match &self.source {
-            Source::Weights(weights) => {
-                let (width, height) = size.unwrap_or(DEFAULT_SIZE);
+            Source::Weights { network, size: own } => {
+                let (width, height) = size.unwrap_or(*own);
                 let options =
                     OnnxOptions { width: width as usize, height: height as usize, half: false };
-                let bytes = weights.to_onnx(&options).map_err(bad_size)?;
+                let bytes = network.to_onnx(&options).map_err(bad_size)?;
                 let mut model = OnnxModel::from_vec(bytes).map_err(onnx)?;
                 let not = |reason: String| ModelError::NotADetector { name: name(), reason };
                 let metadata =

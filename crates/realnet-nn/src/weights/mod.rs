@@ -176,6 +176,9 @@ pub struct Checkpoint {
     /// How the numbers of a depth network are metres, if the file tells. Only safetensors
     /// files do, in the metadata [`DepthCoding::KEY`].
     pub depth: Option<DepthCoding>,
+    /// Input size that the network was trained at, (width, height) in pixels, if the file
+    /// tells: a safetensors file in the metadata `imgsz`, as `[height, width]`.
+    pub size: Option<(u32, u32)>,
 }
 
 impl Checkpoint {

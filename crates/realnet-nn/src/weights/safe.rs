@@ -56,6 +56,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Checkpoint, WeightsError> {
             .get(DepthCoding::KEY)
             .map(|text| DepthCoding::from_json(text))
             .transpose()?,
+        size: json("imgsz").and_then(|v| {
+            let sides = v.as_array()?.iter().map(|side| u32::try_from(side.as_u64()?).ok());
+            let &[height, width] = sides.collect::<Option<Vec<u32>>>()?.as_slice() else {
+                return None;
+            };
+            Some((width, height))
+        }),
     })
 }
 

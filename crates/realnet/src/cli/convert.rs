@@ -21,7 +21,7 @@ pub(crate) struct ConvertArgs {
     /// The ONNX file to write [default: beside the weights].
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Input size in pixels: N or WIDTHxHEIGHT [default: 640 for YOLOv5, 256 for VNL (384 with ResNeXt), 256x192 for vnl-lite].
+    /// Input size in pixels: N or WIDTHxHEIGHT [default: that of the training if the file tells, else 640 for YOLOv5, 256 for VNL (384 with ResNeXt), 256x192 for vnl-lite].
     #[arg(long, value_name = "N|WxH", value_parser = parse_size)]
     imgsz: Option<(u32, u32)>,
     /// Store the weights in 16 bits: half the file, computed in 32 bits all the same.
@@ -43,14 +43,14 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<Outcome> {
     let (onnx, OnnxOptions { width, height, .. }, what) = if DepthWeights::recognises(&checkpoint) {
         let network =
             DepthWeights::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;
-        let options = options(network.default_size());
+        let options = options(checkpoint.size.unwrap_or(network.default_size()));
         let (millions, bins) = (network.parameters() as f64 / 1e6, network.bins());
         let architecture = network.architecture();
         let what = format!("{architecture} depth of {millions:.1} million parameters, {bins} bins");
         (network.to_onnx(&options).or_bad_input()?, options, what)
     } else {
         let network = YoloV5::from_checkpoint(&checkpoint).with_context(name).or_bad_input()?;
-        let options = options((640, 640));
+        let options = options(checkpoint.size.unwrap_or((640, 640)));
         let (millions, classes) = (network.parameters() as f64 / 1e6, network.class_names().len());
         let what = format!("YOLOv5 of {millions:.1} million parameters, {classes} classes");
         (network.to_onnx(&options).or_bad_input()?, options, what)

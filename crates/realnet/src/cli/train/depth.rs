@@ -23,6 +23,7 @@ use burn::tensor::Device;
 use clap::{Args, ValueEnum};
 use realnet::{
     DepthMap, Frame, depth::DepthCoding, eval::DepthProtocol, onnx::OnnxOptions, picture,
+    weights::Checkpoint,
 };
 use realnet_data::{
     CanonicalFocal, DepthAugment, DepthPart, DepthSample, DepthSamples, DepthSet, DepthSetOptions,
@@ -350,7 +351,9 @@ impl<N: DepthNet> Learning for Depth<N> {
     const NAME: &'static str = TASK;
 
     fn safetensors(&self, model: &N) -> Result<Vec<u8>> {
-        Ok(safetensors(&depth_checkpoint(model, &self.coding)?)?)
+        let checkpoint = depth_checkpoint(model, &self.coding)?;
+        let size = Some((self.size.width, self.size.height));
+        Ok(safetensors(&Checkpoint { size, ..checkpoint })?)
     }
 
     fn onnx(&self, model: &N) -> Result<Vec<u8>> {

@@ -19,7 +19,8 @@ use crate::cli::{
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use realnet::{
-    EngineChoice, Frame, Runtime, RuntimeOptions, datasets::YoloDataset, onnx::OnnxOptions, picture,
+    EngineChoice, Frame, Runtime, RuntimeOptions, datasets::YoloDataset, onnx::OnnxOptions,
+    picture, weights::Checkpoint,
 };
 use realnet_data::{
     DetectionAugment, DetectionSamples, DetectionSet, Failure, Loader, SheetOptions,
@@ -270,7 +271,9 @@ impl Learning for Detector {
     const NAME: &'static str = TASK;
 
     fn safetensors(&self, model: &YoloV5) -> Result<Vec<u8>> {
-        Ok(safetensors(&detector_checkpoint(model, &self.classes)?)?)
+        let size = Some((self.imgsz, self.imgsz));
+        let checkpoint = detector_checkpoint(model, &self.classes)?;
+        Ok(safetensors(&Checkpoint { size, ..checkpoint })?)
     }
 
     fn onnx(&self, model: &YoloV5) -> Result<Vec<u8>> {
