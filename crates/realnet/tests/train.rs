@@ -524,10 +524,12 @@ fn depth_learns_goes_on_and_leaves_its_files() {
         let given = ["val", "depth", "--data", data, "--model", &model, "--split", &list, "--json"];
         realnet(&[given.as_slice(), &scale, &fx].concat())
     };
-    let run = judged(&data);
-    says(&run, 0, &[]);
-    let judged_by: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-    assert_eq!(judged_by["images"], 4, "{}", run.stdout);
+    for data in [&data, &format!("{data}/../ramps")] {
+        let run = judged(data);
+        says(&run, 0, &[]);
+        let judged_by: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        assert_eq!(judged_by["images"], 4, "{}", run.stdout);
+    }
     let other = path("others");
     ramps(&other, 4);
     says(&judged(&other.display().to_string()), 2, &["no picture with a depth map was chosen"]);

@@ -409,6 +409,7 @@ mod tests {
         assert_eq!((frame.width(), frame.height()), (32, 16));
         assert!(set.frame(1).is_err());
     }
+
     #[test]
     fn some_classes_and_the_rest_is_background() {
         let frame = |seed| Frame::rgb8(Stamp::ZERO, 40, 20, vec![seed; 2400]).unwrap();

@@ -292,24 +292,25 @@ impl Data {
         for (index, sample) in self.samples.iter().enumerate() {
             let (name, file) = (sample.name(), sample.color.file_name().unwrap_or_default());
             called.entry(name).or_default().push(index);
-            called.entry(std::path::absolute(&sample.color)?).or_default().push(index);
+            called.entry(one_path(&sample.color)).or_default().push(index);
             called.entry(PathBuf::from(file)).or_default().push(index);
             numbered.entry(sample.number).or_default().push(index);
         }
-        let folder = std::path::absolute(folder)?;
-        let is_elsewhere = |words: &str| {
-            let path = Path::new(words);
-            path.is_absolute() && !path.starts_with(&folder)
-        };
+        let folder = one_path(folder);
         let mut kept: HashSet<usize> = HashSet::new();
         for (line, words) in (1..).zip(text.lines()) {
             let words = words.split('#').next().unwrap_or_default().trim();
+            let name = if Path::new(words).is_absolute() {
+                one_path(Path::new(words))
+            } else {
+                PathBuf::from(words)
+            };
             // A list of `realnet train depth` may name pictures of several data sets.
-            if words.is_empty() || is_elsewhere(words) {
+            if words.is_empty() || name.is_absolute() && !name.starts_with(&folder) {
                 continue;
             }
             let by_number = words.parse().ok().and_then(|number: u64| numbered.get(&number));
-            let found = called.get(Path::new(words)).into_iter().chain(by_number).flatten();
+            let found = called.get(&name).into_iter().chain(by_number).flatten();
             let before = kept.len();
             kept.extend(found);
             if kept.len() == before {
@@ -332,6 +333,11 @@ impl Data {
             _ => None,
         }
     }
+}
+
+/// The one path of a file that has many, by links and by `..`.
+fn one_path(path: &Path) -> PathBuf {
+    std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
 }
 
 /// The sequence of a folder, or those of its subfolders.
