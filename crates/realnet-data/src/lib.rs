@@ -151,6 +151,12 @@ pub enum DataError {
         /// The set's own.
         known: Vec<String>,
     },
+    /// A class that was asked for twice.
+    #[error("class {name:?} is given twice")]
+    ClassTwice {
+        /// The class.
+        name: String,
+    },
     /// Nothing is left after the check.
     #[error("nothing to learn from is left: {report}")]
     NothingLeft {

@@ -9,6 +9,7 @@ use realnet_io::datasets::labels::{self, LabelErrorKind};
 use realnet_io::datasets::{DatasetError, LabelError, YoloDataset, yolo};
 use realnet_io::picture::{self, Limits, PictureError};
 use realnet_vision::{Filter, Letterbox, Region, resize};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -203,12 +204,16 @@ impl DetectionSet {
     /// what its target is not.
     ///
     /// # Errors
-    /// [`DataError::UnknownClass`] for a name that the set does not have, and
-    /// [`DataError::NothingLeft`] where no object is of these classes.
+    /// [`DataError::UnknownClass`] for a name that the set does not have,
+    /// [`DataError::ClassTwice`] for one that stands twice, and [`DataError::NothingLeft`] where no object is of these classes.
     pub fn with_classes(mut self, classes: &[String]) -> Result<Self, DataError> {
         let new_id = |old: &String| (0..).zip(classes).find(|(_, name)| *name == old);
         if let Some(name) = classes.iter().find(|name| !self.names.contains(name)) {
             return Err(DataError::UnknownClass { name: name.clone(), known: self.names });
+        }
+        let mut seen = HashSet::new();
+        if let Some(name) = classes.iter().find(|name| !seen.insert(*name)) {
+            return Err(DataError::ClassTwice { name: name.clone() });
         }
         let ids: Vec<_> = self.names.iter().map(|old| new_id(old).map(|(id, _)| id)).collect();
         for image in &mut self.images {
@@ -431,6 +436,9 @@ mod tests {
 
         let error = set().with_classes(&["cart".to_owned()]).unwrap_err();
         assert_eq!(error.to_string(), "class \"cart\" is not one of car, truck, robot");
+        let twice = ["car", "robot", "car"].map(str::to_owned);
+        let error = set().with_classes(&twice).unwrap_err();
+        assert_eq!(error.to_string(), "class \"car\" is given twice");
         let none = vec![(frame(3), vec![target(0)])];
         let none = DetectionSet::from_memory(set().names().to_vec(), none, 32).unwrap();
         let error = none.with_classes(&["truck".to_owned()]).unwrap_err();
