@@ -1,6 +1,6 @@
 //! A drive with one camera through one world.
 
-use super::{CLIP_FRAMES, DatasetSpec};
+use super::{CLIP_FRAMES, DatasetSpec, KnownMount};
 use crate::render::{Actor, Exposure, MotionBlur, Sensor, SimCamera, base_from_mount};
 use crate::scene::{Scene, SceneKind, SceneSpec, TextureLevel};
 use crate::{VehicleKind, VehicleState};
@@ -221,9 +221,7 @@ fn camera(dice: &mut Dice, spec: &DatasetSpec) -> SimCamera {
     let k1 = dice.between(-0.30, 0.04);
     let tangential = [dice.between(-1e-3, 1e-3), dice.between(-1e-3, 1e-3)];
     let lens = Distortion::PlumbBob([k1, 0.22 * k1 * k1, tangential[0], tangential[1], 0.0]);
-    let place =
-        Vector3::new(dice.between(0.0, 0.35), dice.between(-0.03, 0.03), dice.between(0.10, 0.32));
-    let angles = [dice.between(-0.05, 0.05), dice.between(-0.06, 0.22), dice.between(-0.05, 0.05)];
+    let (place, angles) = mount(dice, spec.mount);
     let blur = dice
         .chance(0.35)
         .then(|| MotionBlur { shutter_s: dice.log_between(0.003, 0.03), max_samples: 7 });
@@ -240,6 +238,24 @@ fn camera(dice: &mut Dice, spec: &DatasetSpec) -> SimCamera {
         base_from_camera: base_from_mount(place, angles[0], angles[1], angles[2]),
         sensor,
     }
+}
+
+/// Where a camera sits (metres on the base frame), its yaw, pitch and roll.
+fn mount(dice: &mut Dice, known: Option<KnownMount>) -> (Vector3<f64>, [f64; 3]) {
+    let (heights, yaws, pitches) = match known {
+        None => ([0.10, 0.32], [-0.05, 0.05], [-0.06, 0.22]),
+        Some(known) => {
+            let around = |middle: f64, most: f64| [middle - most, middle + most];
+            (
+                around(known.height_m, KnownMount::HEIGHT_ERROR_M),
+                around(0.0, KnownMount::ANGLE_ERROR_RAD),
+                around(known.pitch_rad, KnownMount::ANGLE_ERROR_RAD),
+            )
+        }
+    };
+    let mut within = |[low, high]: [f64; 2]| dice.between(low, high);
+    let place = Vector3::new(within([0.0, 0.35]), within([-0.03, 0.03]), within(heights));
+    (place, [within(yaws), within(pitches), within(yaws)])
 }
 
 /// The camera with this lens, or without where the lens model does not reach the

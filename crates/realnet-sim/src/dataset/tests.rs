@@ -1,7 +1,8 @@
-use super::{CLIP_FRAMES, DatasetSpec, Sampler, Split, VALIDATION};
+use super::{CLIP_FRAMES, DatasetSpec, KnownMount, Sampler, Split, VALIDATION};
 use realnet_core::DepthMap;
+use realnet_core::nalgebra::Vector3;
 
-const SPEC: DatasetSpec = DatasetSpec { seed: 11, width: 160, height: 96 };
+const SPEC: DatasetSpec = DatasetSpec { seed: 11, width: 160, height: 96, mount: None };
 
 #[test]
 fn a_sample_is_the_same_alone_and_in_a_row() {
@@ -51,6 +52,24 @@ fn samples_are_many_sided() {
     assert!(labels.len() > 70 && empty < 25, "{} {empty}", labels.len());
     assert!(classes.iter().all(|count| *count > 5), "{classes:?}");
     assert!(labels[0] < 0.8 && labels[labels.len() - 1] > 4.0, "{labels:?}");
+}
+
+/// The cameras sit where they are told to, over the same worlds' other lots.
+#[test]
+fn a_known_mount_is_kept() {
+    let known = KnownMount { height_m: 0.5, pitch_rad: 0.3 };
+    let mut sampler = Sampler::new(DatasetSpec { mount: Some(known), ..SPEC });
+    let mut heights = Vec::new();
+    for clip in 0..20 {
+        let pose = sampler.world_from_camera(clip * CLIP_FRAMES);
+        let (place, ahead) = (pose.translation(), pose.rotation() * Vector3::z());
+        assert!((place.z - 0.5).abs() < 0.006 + 0.02 * 0.4, "{place}");
+        // The body leans by up to 0.02 as well.
+        assert!((-ahead.z.asin() - 0.3).abs() < 0.01 + 0.02 + 1e-3, "{ahead}");
+        heights.push(place.z);
+    }
+    heights.dedup();
+    assert!(heights.len() > 15, "{heights:?}");
 }
 
 #[test]

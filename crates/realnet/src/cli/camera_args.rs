@@ -53,6 +53,23 @@ impl CameraArgs {
     }
 }
 
+/// How high a camera sits above the ground, metres.
+pub(crate) fn parse_camera_height(text: &str) -> Result<f64, String> {
+    text.parse::<f64>()
+        .ok()
+        .filter(|height| (0.01..=100.0).contains(height))
+        .ok_or_else(|| format!("'{text}' is not a height in metres from 0.01 to 100"))
+}
+
+/// How far a camera looks down: degrees are given, radians taken.
+pub(crate) fn parse_camera_pitch(text: &str) -> Result<f64, String> {
+    text.parse::<f64>()
+        .ok()
+        .filter(|degrees| (-80.0..=80.0).contains(degrees))
+        .map(f64::to_radians)
+        .ok_or_else(|| format!("'{text}' is not a pitch in degrees from -80 to 80"))
+}
+
 /// The camera of a ROS calibration file.
 pub(crate) fn read_camera(path: &Path) -> Result<CameraModel> {
     let text = std::fs::read_to_string(path)

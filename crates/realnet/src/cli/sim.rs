@@ -7,6 +7,7 @@ mod runs;
 mod table;
 mod video;
 
+use super::camera_args::{parse_camera_height, parse_camera_pitch};
 use super::failure::{OrBadInput, Outcome, bad_input, report as report_error, say};
 use super::output::Output;
 use super::{command_line, interrupt};
@@ -15,7 +16,7 @@ use clap::Args;
 use json::RunResult;
 use realnet_core::Pose2;
 use realnet_io::atomic;
-use realnet_sim::dataset::DatasetSpec;
+use realnet_sim::dataset::{DatasetSpec, KnownMount};
 use realnet_sim::scenario::Scenario;
 use realnet_sim::{RunFigures, RunLog};
 use report::PageOptions;
@@ -35,6 +36,7 @@ Examples:
   realnet sim --scenario hard-braking --seed 3 --report out/ --video out/hard-braking.mp4
   realnet sim --all --seeds 20 --report out/
   realnet sim --dataset data/sim --frames 2000 --seed 1
+  realnet sim --dataset data/mine --frames 2000 --camera-height 0.18
 
 Exit codes: 0 all passed, 1 a run did not pass or ended in an error, 2 bad input, 130
 interrupted. With --json each run is printed once it and all before it are done.")]
@@ -75,6 +77,15 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "PIXELS", default_value_t = 360, conflicts_with_all = ["list", "scenario", "all"],
         value_parser = clap::value_parser!(u32).range(16..=4096))]
     height: u32,
+    /// Metres of the cameras of a data set above the ground, as your robot has it: a depth
+    /// network learns its scale from it [default: 0.10 to 0.32, another for each world].
+    #[arg(long, value_name = "M", conflicts_with_all = ["list", "scenario", "all"],
+        value_parser = parse_camera_height)]
+    camera_height: Option<f64>,
+    /// How far they look down, degrees [default: 0 with --camera-height].
+    #[arg(long, value_name = "DEGREES", requires = "camera_height", allow_hyphen_values = true,
+        value_parser = parse_camera_pitch)]
+    camera_pitch: Option<f64>,
 }
 
 #[derive(Debug, Args)]
@@ -100,7 +111,10 @@ pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
         return list(args.json);
     }
     if let Some(folder) = &args.what.dataset {
-        let spec = DatasetSpec { seed: args.seed, width: args.width, height: args.height };
+        let mount = args
+            .camera_height
+            .map(|height_m| KnownMount { height_m, pitch_rad: args.camera_pitch.unwrap_or(0.0) });
+        let spec = DatasetSpec { seed: args.seed, width: args.width, height: args.height, mount };
         return dataset::write(folder, spec, args.frames, jobs(args), &command_line());
     }
     let scenarios = match &args.what.scenario {

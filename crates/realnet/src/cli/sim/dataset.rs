@@ -7,8 +7,8 @@ use realnet_core::{CameraCalibration, Detection};
 use realnet_io::datasets::labels::row_of;
 use realnet_io::{atomic, depth, picture};
 use realnet_sim::dataset::{
-    CLIP_FRAMES, DatasetSpec, MIN_PIXELS, MIN_VISIBLE, Sample, Sampler, Split, VALIDATION,
-    class_names,
+    CLIP_FRAMES, DatasetSpec, KnownMount, MIN_PIXELS, MIN_VISIBLE, Sample, Sampler, Split,
+    VALIDATION, class_names,
 };
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
@@ -21,7 +21,7 @@ const DEPTH_SCALE: f64 = 5000.0;
 const RECIPE: &str = "dataset.json";
 
 /// What the files of a folder follow from; a folder is gone on with only by the same.
-#[derive(Debug, Deserialize, PartialEq, Eq, Serialize)]
+#[derive(Debug, Deserialize, PartialEq, Serialize)]
 struct Recipe {
     format: u32,
     /// Of the program: another one may draw other pictures of the same seed.
@@ -29,6 +29,11 @@ struct Recipe {
     seed: u64,
     width: u32,
     height: u32,
+    /// A known mount: metres above the ground, radians of pitch.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera_height_m: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera_pitch_rad: Option<f64>,
 }
 
 /// Writes the first `frames` samples of `spec` into `folder`, `jobs` at a time; those
@@ -104,6 +109,8 @@ fn prepare(folder: &Path, spec: &DatasetSpec) -> Result<()> {
         seed: spec.seed,
         width: spec.width,
         height: spec.height,
+        camera_height_m: spec.mount.map(|mount| mount.height_m),
+        camera_pitch_rad: spec.mount.map(|mount| mount.pitch_rad),
     };
     let path = folder.join(RECIPE);
     match std::fs::read(&path) {
@@ -265,7 +272,16 @@ fn readme(spec: &DatasetSpec, there: u64, frames: u64, command: &str) -> String 
         there if there < frames => format!("{there} of {frames} frames so far,"),
         _ => format!("{there} frames"),
     };
-    let DatasetSpec { seed, width, height } = spec;
+    let DatasetSpec { seed, width, height, mount } = spec;
+    let mount = match mount {
+        None => "another for each clip".to_owned(),
+        Some(KnownMount { height_m, pitch_rad }) => format!(
+            "{height_m} m above the ground, {:.1} degrees nose down, give or take {} mm and {:.1} degrees",
+            pitch_rad.to_degrees(),
+            1000.0 * KnownMount::HEIGHT_ERROR_M,
+            KnownMount::ANGLE_ERROR_RAD.to_degrees()
+        ),
+    };
     let names = class_names().join(", ");
     let percent = (100.0 * MIN_VISIBLE) as u32;
     let most = f64::from(u16::MAX - 1) / DEPTH_SCALE;
@@ -292,6 +308,7 @@ visible pixels.
 
 Frame `i` of the pictures is frame `i mod {CLIP_FRAMES}` of clip `i / {CLIP_FRAMES}`. A clip is one
 world with one camera; every {VALIDATION}th clip is for validation, so no world is in both splits.
+The camera's mount: {mount}.
 
 Depth is along the optical axis, exact, without noise or blur: 16-bit PNG, {DEPTH_SCALE} units a
 metre; 0 is unknown (the sky, and what is further than {most:.1} m). Depth and pictures share
@@ -311,7 +328,7 @@ mod tests {
     use realnet_io::picture::Limits;
     use std::collections::BTreeMap;
 
-    const SPEC: DatasetSpec = DatasetSpec { seed: 5, width: 128, height: 72 };
+    const SPEC: DatasetSpec = DatasetSpec { seed: 5, width: 128, height: 72, mount: None };
 
     fn made(frames: u64, jobs: usize) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
@@ -441,6 +458,15 @@ mod tests {
         let other = DatasetSpec { seed: 6, ..SPEC };
         let error = write(folder.path(), other, 1, 1, "").unwrap_err().to_string();
         assert!(error.contains("seed: 5") && error.contains("seed: 6"), "{error}");
+        let mount = Some(KnownMount { height_m: 0.18, pitch_rad: 0.0 });
+        let error = write(folder.path(), DatasetSpec { mount, ..SPEC }, 1, 1, "").unwrap_err();
+        assert!(error.to_string().contains("camera_height_m: Some(0.18)"), "{error}");
+        let mounted = tempfile::tempdir().unwrap();
+        for frames in [1, 2] {
+            write(mounted.path(), DatasetSpec { mount, ..SPEC }, frames, 1, "").unwrap();
+        }
+        let text = std::fs::read_to_string(mounted.path().join("README.md")).unwrap();
+        assert!(text.contains("mount: 0.18 m above the ground"), "{text}");
         let foreign = tempfile::tempdir().unwrap();
         std::fs::write(foreign.path().join("thesis.txt"), "text").unwrap();
         let error = write(foreign.path(), SPEC, 1, 1, "").unwrap_err().to_string();
