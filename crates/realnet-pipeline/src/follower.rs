@@ -5,7 +5,7 @@ use crate::odometry::{CameraMount, OwnOdometry};
 use crate::ranging::{Ranging, RangingError, RangingOptions, SeenRange};
 use crate::sight::{Sight, SightOptions, TargetBox};
 use realnet_control::{ControlInput, ControlOptions, Controller, OptionError, ViewLimit};
-use realnet_core::nalgebra::Vector2;
+use realnet_core::nalgebra::{Vector2, Vector3};
 use realnet_core::{
     CameraModel, DepthMap, Detection, DriveCommand, Frame, Pose2, Stamp, TargetState, TrackStatus,
 };
@@ -87,6 +87,8 @@ pub enum FollowerError {
 /// What is known when a frame was taken.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameReport {
+    /// Exposure time of the frame.
+    pub stamp: Stamp,
     /// The target's box in it.
     pub target: Option<TargetBox>,
     /// Depth of the newest network map that came, held, metres along the optical axis.
@@ -95,10 +97,17 @@ pub struct FrameReport {
     pub fast_m: Option<f64>,
     /// By the target's foot on the ground.
     pub ground_m: Option<f64>,
+    /// By the target's known height.
+    pub size_m: Option<f64>,
     /// Pitch of the camera against the ground, radians, positive: nose down.
     pub pitch_rad: f64,
     /// Fused, with its standard deviation, metres along the optical axis.
     pub fused_m: Option<(f64, f64)>,
+    /// Middle of the target's box at the fused range, metres in the camera's optical frame
+    /// (x right, y down, z forward).
+    pub position_m: Option<[f64; 3]>,
+    /// Velocity over ground, m/s along the axes of the camera's optical frame.
+    pub velocity_m_s: Option<[f64; 3]>,
     /// Tracked, coasting, lost.
     pub status: TrackStatus,
     /// The robot's own place by its odometry.
@@ -221,17 +230,43 @@ impl Follower {
         self.fusion.advance(stamp);
         let target = self.sight.frame(self.ranging.picture());
         let fast = self.ranging.fast(target.as_ref());
-        let ground = target.and_then(|at| self.ranging.ground(&at, self.aside(&at)));
         if let Some(at) = target {
             self.measure_direction(&at, DirectionSource::Flow);
         }
         if let Some((seen, map)) = fast {
             self.measure_range(&seen, RangeSource::Network { map });
         }
-        if let Some(seen) = ground {
-            self.measure_range(&seen, RangeSource::Ground);
+        let by_box = self.measure_by_box(target.as_ref());
+        Ok(self.report(stamp, target, fast.map(|(seen, _)| seen.depth_m), by_box))
+    }
+
+    /// What is known of the last frame once detections and depth of that very frame are
+    /// there, which is how recorded frames may be gone through: its report again.
+    pub fn revised(&mut self, before: &FrameReport) -> FrameReport {
+        let (stamp, known) = (before.stamp, [before.ground_m, before.size_m]);
+        if self.last != Some(stamp) {
+            return *before;
         }
-        Ok(self.report(stamp, target, fast.map(|(seen, _)| seen), ground))
+        let target = self.sight.box_at(stamp);
+        // What was measured by the box of flow is not measured twice.
+        let by_box = match before.target {
+            None => self.measure_by_box(target.as_ref()),
+            Some(_) => known,
+        };
+        self.report(stamp, target, before.fast_m, by_box)
+    }
+
+    /// Ranges by the box alone: by its foot on the ground, by its height.
+    fn measure_by_box(&mut self, target: Option<&TargetBox>) -> [Option<f64>; 2] {
+        let Some(at) = target else { return [None; 2] };
+        let ground = self.ranging.ground(at, self.aside(at));
+        let size = self.ranging.size(at);
+        for (seen, source) in [(ground, RangeSource::Ground), (size, RangeSource::Size)] {
+            if let Some(seen) = seen {
+                self.measure_range(&seen, source);
+            }
+        }
+        [ground, size].map(|seen| seen.map(|seen| seen.depth_m))
     }
 
     /// Whether a frame is of the time of the last one, or starts another.
@@ -265,8 +300,8 @@ impl Follower {
         &mut self,
         stamp: Stamp,
         target: Option<TargetBox>,
-        fast: Option<SeenRange>,
-        ground: Option<SeenRange>,
+        fast_m: Option<f64>,
+        [ground_m, size_m]: [Option<f64>; 2],
     ) -> FrameReport {
         let track = self.fusion.track_at(stamp).ok();
         let camera = self.odometry.camera_at(stamp);
@@ -287,15 +322,26 @@ impl Follower {
         {
             self.height = Some(f64::from(at.bbox.height()) * range);
         }
+        let fixed_from_base = self.odometry.pose_at(stamp).unwrap_or_default();
+        let position = fused_m.zip(target).and_then(|((m, _), at)| self.ranging.place(&at, m));
+        let velocity =
+            track.and_then(|track| track.seen_from(&fixed_from_base).estimate).map(|estimate| {
+                let base = Vector3::new(estimate.velocity.x, estimate.velocity.y, 0.0);
+                self.options.mount.base_from_optical().rotation().inverse() * base
+            });
         FrameReport {
+            stamp,
             target,
             network_m: self.network.map(|seen| seen.depth_m),
-            fast_m: fast.map(|seen| seen.depth_m),
-            ground_m: ground.map(|seen| seen.depth_m),
+            fast_m,
+            ground_m,
+            size_m,
             pitch_rad: self.ranging.pitch_rad().value,
             fused_m,
+            position_m: position.map(|place| place.coords.into()),
+            velocity_m_s: velocity.map(Into::into),
             status: track.map_or(TrackStatus::Searching, |track| track.status),
-            fixed_from_base: self.odometry.pose_at(stamp).unwrap_or_default(),
+            fixed_from_base,
         }
     }
 

@@ -13,6 +13,9 @@
 //! | [`realnet_fusion::TargetFilter`] | where the target is and how it moves, by stamp |
 //! | [`realnet_control::Controller`] | steering and speed, and stops with their reasons |
 //!
+//! [`Serial`] goes through recorded frames with it, one after the other, with an
+//! [`ObjectDetector`] and a [`DepthEstimator`].
+//!
 //! Who calls it: [`Follower::frame`] for each frame, [`Follower::keep_for_depth`] when the
 //! depth network takes that frame, [`Follower::keep_for_detector`] when the detector does
 //! (where it does not take every one), [`Follower::detections`] and [`Follower::depth`] when
@@ -22,15 +25,19 @@
 mod choice;
 mod follower;
 mod hold;
+mod networks;
 mod odometry;
 mod pictures;
 mod ranging;
 mod ring;
+mod serial;
 mod sight;
 mod step;
 
 pub use follower::{Follower, FollowerError, FollowerOptions, FrameReport};
+pub use networks::{DepthEstimator, NetworkError, ObjectDetector};
 pub use odometry::{CameraMount, OwnOdometry};
 pub use ranging::{Ranging, RangingError, RangingOptions, SeenRange};
+pub use serial::{Serial, Step, StepError, Work};
 pub use sight::{Sight, SightOptions, TargetBox};
 pub use step::BackgroundStep;

@@ -8,7 +8,7 @@ use realnet_core::{BoundingBox, CameraModel, DepthMap, Frame, Stamp};
 use realnet_range::cues::{
     BoxDepth, DepthInBox, DepthInBoxError, DepthInBoxOptions, DepthNoise, GroundFit,
     GroundFitOptions, GroundPlane, GroundPrior, GroundRange, OptionError, PeakRule, PitchFilter,
-    PitchFilterOptions, PitchMeasurement, SigmaRule, Uncertain, pitch_from_translation,
+    PitchFilterOptions, PitchMeasurement, SigmaRule, SizeRange, Uncertain, pitch_from_translation,
 };
 use realnet_range::motion::{BodyMotion, MotionError, MotionOptions, MotionTracker};
 use realnet_vision::Pyramid;
@@ -44,6 +44,8 @@ pub struct RangingOptions {
     pub pitch_std_rad: f64,
     /// Whether the target's foot on the ground is a range of its own.
     pub ground_range: bool,
+    /// Height of the target, metres, where it is known: a range of its own.
+    pub target_height_m: Option<Uncertain>,
     /// How far behind the target's seen surface its foot stands, metres: the overhang of
     /// a car over its rear wheels.
     pub foot_behind_m: f64,
@@ -60,6 +62,7 @@ impl Default for RangingOptions {
             map_std: 0.1,
             pitch_std_rad: 0.01,
             ground_range: true,
+            target_height_m: None,
             foot_behind_m: 0.08,
             foot_aside_m: 0.08,
         }
@@ -353,6 +356,25 @@ impl Ranging {
         let surface = found.foot.coords * (1.0 - (behind - nearer) / found.depth_m);
         let share = found.std_m.hypot(0.3 * nearer) / found.depth_m;
         (surface.z > 0.0).then(|| self.seen(at.stamp, Point3::from(surface), share))
+    }
+
+    /// The range by the target's height, where that is known.
+    #[must_use]
+    pub fn size(&self, at: &TargetBox) -> Option<SeenRange> {
+        let cue = SizeRange {
+            edge_std_px: f64::from(at.edge_std),
+            pitch_rad: self.pitch.pitch_rad().value,
+            ..SizeRange::from_height(self.options.target_height_m?)
+        };
+        let found = cue.measure(&self.camera, at.bbox).ok()?;
+        let point = self.lift(&at.bbox, found.depth_m)?;
+        Some(self.seen(at.stamp, point, found.edge_m / found.depth_m))
+    }
+
+    /// The middle of a box at a depth, metres in the optical frame.
+    #[must_use]
+    pub fn place(&self, at: &TargetBox, depth_m: f64) -> Option<Point3<f64>> {
+        self.lift(&at.bbox, depth_m)
     }
 
     /// Tangent of the direction to a box, left positive, in the plane, with its

@@ -11,7 +11,10 @@ use crate::scenario::Setup;
 use crate::scene::{Bounds, Obstacle, Scene};
 use realnet_core::nalgebra::{Vector2, Vector3};
 use realnet_core::{DepthMap, DepthMapError, DriveCommand, Frame, Pose2, Stamp};
-use realnet_pipeline::{Follower, FollowerError, FollowerOptions, FrameReport, TargetBox};
+use realnet_pipeline::{
+    DepthEstimator, Follower, FollowerError, FollowerOptions, FrameReport, NetworkError,
+    ObjectDetector, TargetBox,
+};
 use realnet_range::cues::{DepthInBox, DepthInBoxOptions, DepthNoise, OptionError};
 use realnet_range::motion::MotionError;
 use std::ops::ControlFlow;
@@ -48,6 +51,30 @@ pub enum RunError {
     /// A frame that the follower refused.
     #[error(transparent)]
     Frame(#[from] MotionError),
+    /// A network that was to see.
+    #[error("the {network} failed")]
+    Network {
+        /// Which.
+        network: &'static str,
+        /// What it says.
+        source: NetworkError,
+    },
+}
+
+/// Who sees for the follower.
+#[derive(Default)]
+pub enum Perception<'a> {
+    /// The truth, with the errors of a setup's models.
+    #[default]
+    Truth,
+    /// Networks that are shown what the camera sees, at the rates, latencies and losses of a
+    /// setup's models, which add no errors of their own; faults hold.
+    Networks {
+        /// Finds the target.
+        detector: &'a mut dyn ObjectDetector,
+        /// Says how far it is, if anybody does.
+        depth: Option<&'a mut dyn DepthEstimator>,
+    },
 }
 
 /// What an onlooker is shown at each frame.
@@ -72,8 +99,8 @@ pub fn follower_options(setup: &Setup) -> FollowerOptions {
     }
 }
 
-/// Runs a setup with the follower of [`follower_options`]. `onlooker` is shown each
-/// frame and may end the run.
+/// Runs a setup with the follower of [`follower_options`], seen by the truth. `onlooker`
+/// is shown each frame and may end the run.
 ///
 /// # Errors
 /// [`RunError`] for a setup that cannot be run.
@@ -81,19 +108,20 @@ pub fn run(
     setup: &Setup,
     onlooker: impl FnMut(&Moment<'_>) -> ControlFlow<()>,
 ) -> Result<RunLog, RunError> {
-    run_with(setup, follower_options(setup), onlooker)
+    run_with(setup, follower_options(setup), Perception::Truth, onlooker)
 }
 
-/// Runs a setup with another follower, see [`run`].
+/// Runs a setup with another follower, or with networks that see for it, see [`run`].
 ///
 /// # Errors
-/// [`RunError`] for a setup or options that cannot be run.
-pub fn run_with(
-    setup: &Setup,
+/// [`RunError`] for a setup or options that cannot be run, and when a network fails.
+pub fn run_with<'a>(
+    setup: &'a Setup,
     options: FollowerOptions,
+    perception: Perception<'a>,
     mut onlooker: impl FnMut(&Moment<'_>) -> ControlFlow<()>,
 ) -> Result<RunLog, RunError> {
-    let mut world = World::new(setup, options)?;
+    let mut world = World::new(setup, options, perception)?;
     for index in 0..setup.frames() {
         let exposed = Stamp::of_frame(index, setup.camera.rate_hz);
         world.look(exposed)?;
@@ -120,6 +148,7 @@ struct World<'a> {
     actors: Vec<Actor>,
     detector: Detector,
     network: DepthNetwork,
+    perception: Perception<'a>,
     follower: Follower,
     stop_requested: bool,
     /// Speed at the last frame, and when that was.
@@ -136,7 +165,11 @@ struct World<'a> {
 }
 
 impl<'a> World<'a> {
-    fn new(setup: &'a Setup, options: FollowerOptions) -> Result<Self, RunError> {
+    fn new(
+        setup: &'a Setup,
+        options: FollowerOptions,
+        perception: Perception<'a>,
+    ) -> Result<Self, RunError> {
         let scene = Scene::build(&setup.scene, setup.seed);
         let renderer = Renderer::new(camera(setup));
         let picture = renderer.blank();
@@ -157,6 +190,7 @@ impl<'a> World<'a> {
         Ok(Self {
             detector: Detector::new(setup.detector.clone(), setup.seed),
             network: DepthNetwork::new(setup.depth.clone(), setup.seed),
+            perception,
             follower: Follower::new(&setup.camera.model, options)?,
             stop_requested: false,
             before: None,
@@ -204,6 +238,27 @@ impl<'a> World<'a> {
             return Ok(());
         }
         let blur_px = shot.own.yaw_rate.abs() * setup.camera.model.fx() * setup.camera.exposure_s;
+        self.show(exposed, blur_px)
+    }
+
+    /// The networks are shown the picture, or the truth plays them.
+    fn show(&mut self, exposed: Stamp, blur_px: f64) -> Result<(), RunError> {
+        let frame = &self.picture.frame;
+        if let Perception::Networks { detector, depth } = &mut self.perception {
+            let failed = |network| move |source| RunError::Network { network, source };
+            if self.detector.take(exposed) {
+                let found = detector.detect(frame, None).map_err(failed("detector"))?;
+                self.detector.answer(exposed, found);
+            }
+            if let Some(depth) = depth
+                && self.network.take(exposed)
+            {
+                let map = depth.depth(frame).map_err(failed("depth network"))?;
+                self.network.answer(&map)?;
+                self.kept = true;
+            }
+            return Ok(());
+        }
         self.objects.clear();
         for (index, id) in (0..self.actors.len()).zip(0..) {
             if let Some(truth) = self.picture.truth(index) {
@@ -216,7 +271,6 @@ impl<'a> World<'a> {
                 });
             }
         }
-        let frame = &self.picture.frame;
         let size = (frame.width(), frame.height());
         // Bytes are a square root of light; the gain amplifies the noise as well.
         let light = brightness(frame).powi(2) / self.picture.gain().max(1e-9);

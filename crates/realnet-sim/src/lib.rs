@@ -12,7 +12,9 @@ pub mod scene;
 pub mod traffic;
 mod vehicle;
 
-pub use closed_loop::{Moment, RunError, VEHICLE_CLASS, follower_options, run, run_with};
+pub use closed_loop::{
+    Moment, Perception, RunError, VEHICLE_CLASS, follower_options, run, run_with,
+};
 pub use log::{BodyLog, DepthMapLog, DetectionLog, FrameLog, RunLog, StopLog};
 pub use metrics::{CueFigures, HELD_S, RunFigures};
 pub use vehicle::{VehicleKind, VehicleSize, VehicleState};

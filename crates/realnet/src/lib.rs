@@ -29,8 +29,11 @@
 //! ```
 
 mod ort_search;
+mod perceiving;
+pub mod shipped;
 
 pub use ort_search::find_ort_libraries;
+pub use perceiving::{DepthEyes, YoloEyes};
 pub use realnet_control as control;
 pub use realnet_core::{
     BoundingBox, CameraCalibration, CameraModel, DepthMap, Detection, Distortion, Frame,

@@ -122,16 +122,42 @@ impl DepthNetwork {
     /// # Errors
     /// [`DepthMapError`] when the size of its maps cannot be made.
     pub fn show(&mut self, truth: &DepthMap) -> Result<bool, DepthMapError> {
-        let stamp = truth.stamp();
-        let rate = holding(&self.model.faults, stamp).fold(self.model.rate_hz, |rate, fault| {
-            if let DepthFault::Rate(hz) = fault { *hz } else { rate }
-        });
-        if !self.schedule.take(stamp, rate) {
+        if !self.take(truth.stamp()) {
             return Ok(false);
         }
         let map = self.infer(truth)?;
-        self.channel.send(stamp, map);
+        self.channel.send(truth.stamp(), map);
         Ok(true)
+    }
+
+    /// Whether it takes a frame of this stamp, which then counts as taken.
+    pub fn take(&mut self, stamp: Stamp) -> bool {
+        let rate = holding(&self.model.faults, stamp).fold(self.model.rate_hz, |rate, fault| {
+            if let DepthFault::Rate(hz) = fault { *hz } else { rate }
+        });
+        self.schedule.take(stamp, rate)
+    }
+
+    /// Another network's map of a frame that was taken: it goes the same way, with the
+    /// faults that hold and without the model's own errors.
+    ///
+    /// # Errors
+    /// [`DepthMapError`] when the size of its maps cannot be made.
+    pub fn answer(&mut self, map: &DepthMap) -> Result<(), DepthMapError> {
+        let faultless = DepthNetworkModel {
+            rows: 0,
+            scale_noise: 0.0,
+            scale_drift: 0.0,
+            patch_noise: 0.0,
+            pixel_noise: 0.0,
+            smear: 0,
+            holes: 0.0,
+            max_depth: f64::INFINITY,
+            ..self.model.clone()
+        };
+        let map = self.infer_by(&faultless, map)?;
+        self.channel.send(map.stamp(), map);
+        Ok(())
     }
 
     /// Takes the maps that have arrived by `now`, in the order of their arrival.
@@ -144,7 +170,15 @@ impl DepthNetwork {
     /// # Errors
     /// [`DepthMapError`] when the size of its maps cannot be made.
     pub fn infer(&self, truth: &DepthMap) -> Result<DepthMap, DepthMapError> {
-        let (stamp, model) = (truth.stamp(), &self.model);
+        self.infer_by(&self.model, truth)
+    }
+
+    fn infer_by(
+        &self,
+        model: &DepthNetworkModel,
+        truth: &DepthMap,
+    ) -> Result<DepthMap, DepthMapError> {
+        let stamp = truth.stamp();
         let mut random = item_stream(self.seed, stream_number(NAME), stamp.nanos());
         let mut log_scale = model.scale_noise * normal(&mut random)
             + model.scale_drift * self.drift.at(stamp.secs_f64());

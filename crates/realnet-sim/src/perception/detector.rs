@@ -111,12 +111,22 @@ impl Detector {
         light: f64,
         objects: &[VisibleObject],
     ) -> bool {
-        let taken = self.schedule.take(stamp, self.model.rate_hz);
+        let taken = self.take(stamp);
         if taken {
             let found = self.infer(stamp, (width, height), light, objects);
-            self.channel.send(stamp, found);
+            self.answer(stamp, found);
         }
         taken
+    }
+
+    /// Whether it takes a frame of this stamp, which then counts as taken.
+    pub fn take(&mut self, stamp: Stamp) -> bool {
+        self.schedule.take(stamp, self.model.rate_hz)
+    }
+
+    /// Another detector's answer to a frame that was taken: it goes the same way.
+    pub fn answer(&mut self, stamp: Stamp, found: Vec<Detection>) {
+        self.channel.send(stamp, found);
     }
 
     /// Takes the answers that have arrived by `now`, in the order of their arrival.

@@ -1,8 +1,8 @@
 //! Networks, and the wires between them and the rest, with their faults.
 //!
-//! Until trained networks exist, the simulator's truth plays them: true depth maps
-//! and true boxes go in, and what a network would have said comes out, late, with a
-//! network's errors.
+//! The simulator's truth plays them: true depth maps and true boxes go in, and what a
+//! network would have said comes out, late, with a network's errors. Or networks look at
+//! the rendered pictures themselves, see [`Perception`].
 //!
 //! | type | plays |
 //! |---|---|

@@ -47,6 +47,18 @@ pub(crate) fn library_file(path: &Path) -> PathBuf {
 impl EngineArgs {
     /// Starts the engine, and says so in one line when it is not the one asked for.
     pub(crate) fn start(&self) -> Runtime {
+        self.start_with(self.threads.map_or(0, usize::from))
+    }
+
+    /// As [`EngineArgs::start`] for so many networks at a time, which share the cores unless
+    /// the threads of each are given.
+    pub(crate) fn start_sharing(&self, networks: usize) -> Runtime {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let share = (cores / networks.max(1)).max(1);
+        self.start_with(self.threads.map_or(share, usize::from))
+    }
+
+    fn start_with(&self, threads: usize) -> Runtime {
         let choice = match (self.engine, &self.ort_dylib) {
             // Whoever names a library wants it.
             (EngineFlag::Auto, Some(_)) | (EngineFlag::Ort, _) => EngineChoice::Ort,
@@ -64,7 +76,6 @@ impl EngineArgs {
             ProviderFlag::Tensorrt => Provider::TensorRt,
             ProviderFlag::Openvino => Provider::OpenVino,
         };
-        let threads = self.threads.map_or(0, usize::from);
         let runtime = Runtime::start(&RuntimeOptions { choice, threads, provider, ort_libraries });
         if let Some(note) = runtime.note() {
             say(note);

@@ -7,13 +7,16 @@ mod engine_args;
 mod engines;
 mod eval;
 mod failure;
+mod follow;
 mod frame_files;
 mod frames;
 mod html;
 mod interrupt;
 mod model_args;
+mod network_args;
 mod output;
 mod progress;
+mod robot_args;
 mod sim;
 mod ticks;
 mod track;
@@ -39,6 +42,8 @@ struct Cli {
 enum Command {
     /// Find objects in pictures, a video, a stream or a camera.
     Detect(detect::DetectArgs),
+    /// See, range and follow a target: on real frames, or in a simulated chase.
+    Follow(Box<follow::FollowArgs>),
     /// Show corners and their flow, and carry a target's box by flow alone.
     Track(Box<track::TrackArgs>),
     /// Write the frames of a video as a YOLO data set, with a box carried through it.
@@ -65,6 +70,7 @@ pub(crate) fn run() -> ExitCode {
     interrupt::install();
     let result = match cli.command {
         Command::Detect(args) => detect::run(&args),
+        Command::Follow(args) => follow::run(&args),
         Command::Track(args) => track::run(&args),
         Command::Frames(args) => frames::run(&args),
         Command::Convert(args) => convert::run(&args),

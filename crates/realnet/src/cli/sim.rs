@@ -9,16 +9,19 @@ mod video;
 
 use super::camera_args::{parse_camera_height, parse_camera_pitch};
 use super::failure::{OrBadInput, Outcome, bad_input, report as report_error, say};
+use super::network_args::NetworkArgs;
 use super::output::Output;
 use super::{command_line, interrupt};
 use anyhow::{Context, Result};
 use clap::Args;
 use json::RunResult;
+use realnet::Runtime;
 use realnet_core::Pose2;
 use realnet_io::atomic;
+use realnet_pipeline::DepthEstimator;
 use realnet_sim::dataset::{DatasetSpec, KnownMount};
 use realnet_sim::scenario::Scenario;
-use realnet_sim::{RunFigures, RunLog};
+use realnet_sim::{Perception, RunFigures, RunLog};
 use report::PageOptions;
 use runs::Ended;
 use std::collections::BTreeSet;
@@ -50,6 +53,11 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with_all = ["list", "dataset"],
         value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
+    /// Who sees for the follower: the truth with a network's errors, or networks.
+    #[arg(long, value_enum, default_value_t = PerceptionFlag::Truth, conflicts_with_all = ["list", "dataset"])]
+    perception: PerceptionFlag,
+    #[command(flatten)]
+    networks: NetworkArgs,
     /// Write a page for each run, and one over all, into this folder.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["list", "dataset"])]
     report: Option<PathBuf>,
@@ -86,6 +94,14 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "DEGREES", requires = "camera_height", allow_hyphen_values = true,
         value_parser = parse_camera_pitch)]
     camera_pitch: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum PerceptionFlag {
+    /// The truth, with the errors of a detector and a depth network.
+    Truth,
+    /// A detector and a depth network that see what the camera sees.
+    Networks,
 }
 
 #[derive(Debug, Args)]
@@ -134,12 +150,18 @@ pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
         return Err(bad_input(format!("--video is for one run, not for {}", wanted.len())));
     }
     let several = wanted.len() > 1;
+    let runtime = match args.perception {
+        PerceptionFlag::Truth => None,
+        PerceptionFlag::Networks => Some(args.networks.runtime(jobs(args).min(wanted.len()))),
+    };
     let mut output = Output::stdout();
     let mut done = Done::default();
     let outcome = runs::run_all(
         &wanted,
         jobs(args),
-        |scenario, seed, ends_early| one(args, scenario, seed, several, ends_early),
+        |scenario, seed, ends_early| {
+            one(args, runtime.as_ref(), scenario, seed, several, ends_early)
+        },
         |ended| {
             if let (Some(run), true) = (&ended.result, args.json) {
                 output.json(&run.record())?;
@@ -237,12 +259,13 @@ struct Done {
 /// One run, with its page and its lines.
 fn one(
     args: &SimArgs,
+    runtime: Option<&Runtime>,
     scenario: &Scenario,
     seed: u64,
     several: bool,
     ends_early: &dyn Fn() -> bool,
 ) -> Ended {
-    match drive(args, scenario, seed, ends_early) {
+    match drive(args, runtime, scenario, seed, ends_early) {
         Ok(Some((run, log))) => {
             // Each whether or not the other could be written.
             let page = write_page(args, &run, &log, several);
@@ -258,6 +281,7 @@ fn one(
 /// One run, with its video. `None`: ended early.
 fn drive(
     args: &SimArgs,
+    runtime: Option<&Runtime>,
     scenario: &Scenario,
     seed: u64,
     ends_early: &dyn Fn() -> bool,
@@ -271,7 +295,22 @@ fn drive(
         None => None,
     };
     let (mut written, mut early) = (Ok(()), false);
-    let log = realnet_sim::run(&setup, |moment| {
+    let mut options = realnet_sim::follower_options(&setup);
+    let mut networks = match runtime {
+        Some(runtime) => Some(args.networks.start(runtime, setup.camera.model)?),
+        None => None,
+    };
+    let perception = match &mut networks {
+        Some((detector, depth)) => {
+            // Whatever kind of vehicle the detector takes it for.
+            options.classes.clear();
+            options.sight.min_confidence = args.networks.confidence();
+            let depth = depth.as_mut().map(|depth| depth as &mut dyn DepthEstimator);
+            Perception::Networks { detector, depth }
+        }
+        None => Perception::Truth,
+    };
+    let log = realnet_sim::run_with(&setup, options, perception, |moment| {
         if let Some(video) = &mut video {
             let mut frame = moment.rendered.frame.clone();
             let last = moment.run.frames.len().saturating_sub(1);
