@@ -2,8 +2,8 @@
 //!
 //! [`Follower`] is the whole: it takes frames at once, detections and depth maps whenever
 //! they are ready (each with the stamp of the frame that it is about), and gives a command
-//! at any time. No thread, no clock, no hidden randomness: a live robot, a replay and the
-//! simulator run the same code.
+//! at any time. It has no thread, no clock, no hidden randomness: a live robot, a replay
+//! and the simulator run the same code.
 //!
 //! | stage | what |
 //! |---|---|
@@ -16,6 +16,8 @@
 //! [`Serial`] goes through recorded frames with it, one after the other, with an
 //! [`ObjectDetector`] and a [`DepthEstimator`].
 //!
+//! [`Live`] does the same with frames that come by themselves, the networks on threads.
+//!
 //! Who calls it: [`Follower::frame`] for each frame, [`Follower::keep_for_depth`] when the
 //! depth network takes that frame, [`Follower::keep_for_detector`] when the detector does
 //! (where it does not take every one), [`Follower::detections`] and [`Follower::depth`] when
@@ -25,6 +27,7 @@
 mod choice;
 mod follower;
 mod hold;
+mod live;
 mod networks;
 mod odometry;
 mod pictures;
@@ -33,11 +36,15 @@ mod ring;
 mod serial;
 mod sight;
 mod step;
+mod work;
+mod worker;
 
 pub use follower::{Follower, FollowerError, FollowerOptions, FrameReport};
+pub use live::{Live, NetworkCounts, NetworkFailure, NetworkTime};
 pub use networks::{DepthEstimator, NetworkError, ObjectDetector};
 pub use odometry::{CameraMount, OwnOdometry};
 pub use ranging::{Ranging, RangingError, RangingOptions, SeenRange};
-pub use serial::{Serial, Step, StepError, Work};
+pub use serial::{Serial, StepError};
 pub use sight::{Sight, SightOptions, TargetBox};
 pub use step::BackgroundStep;
+pub use work::{Step, Work};

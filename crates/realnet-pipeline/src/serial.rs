@@ -1,42 +1,11 @@
 //! One stage after the other, for recorded frames.
 
-use crate::follower::{Follower, FrameReport};
+use crate::follower::Follower;
 use crate::networks::{DepthEstimator, NetworkError, ObjectDetector};
-use realnet_core::{DepthMap, Detection, DriveCommand, Frame, Stamp};
+use crate::work::{Pace, Step, Work};
+use realnet_core::{DepthMap, Frame};
 use realnet_range::motion::MotionError;
 use thiserror::Error;
-
-/// Frames may be a microsecond early: their stamps are rounded.
-const EARLY_S: f64 = 1e-6;
-
-/// A part of the work on a frame, for a caller with a clock.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Work {
-    /// Corners, flow, motion, the box carried.
-    Motion,
-    /// The detector.
-    Detect,
-    /// The depth network.
-    Depth,
-    /// Fusion and the command.
-    Command,
-}
-
-impl Work {
-    /// All of them, in their order.
-    pub const ALL: [Self; 4] = [Self::Motion, Self::Detect, Self::Depth, Self::Command];
-
-    /// The name in files and on the command line.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Motion => "motion",
-            Self::Detect => "detect",
-            Self::Depth => "depth",
-            Self::Command => "command",
-        }
-    }
-}
 
 /// Why a frame was not followed.
 #[derive(Debug, Error)]
@@ -52,28 +21,13 @@ pub enum StepError {
     Depth(#[source] NetworkError),
 }
 
-/// What came of a frame.
-#[derive(Clone, Debug)]
-pub struct Step {
-    /// What is known of it.
-    pub report: FrameReport,
-    /// What was found in it, whether or not it is the target.
-    pub detections: Vec<Detection>,
-    /// Its depth, if it was the network's turn.
-    pub depth: Option<DepthMap>,
-    /// The command for its stamp.
-    pub command: DriveCommand,
-}
-
 /// A follower with its networks, for recorded frames: each frame is done with before the
 /// next one, as if the networks took no time. The same frames give the same steps.
 pub struct Serial {
     follower: Follower,
     detector: Box<dyn ObjectDetector>,
     depth: Option<Box<dyn DepthEstimator>>,
-    /// Seconds from one depth map to the next.
-    depth_every_s: f64,
-    depth_due: Option<Stamp>,
+    pace: Pace,
 }
 
 impl Serial {
@@ -86,7 +40,7 @@ impl Serial {
         depth: Option<Box<dyn DepthEstimator>>,
         depth_every_s: f64,
     ) -> Self {
-        Self { follower, detector, depth, depth_every_s, depth_due: None }
+        Self { follower, detector, depth, pace: Pace::new(depth_every_s) }
     }
 
     /// The follower.
@@ -117,16 +71,10 @@ impl Serial {
     /// Asks the depth network, if it is its turn.
     fn range(&mut self, frame: &Frame) -> Result<Option<DepthMap>, StepError> {
         let Some(network) = &mut self.depth else { return Ok(None) };
-        let stamp = frame.stamp();
-        // More than a period ahead it is of a time before the clock was set.
-        let waits = |due: Stamp| {
-            let left_s = due.seconds_since(stamp);
-            left_s > EARLY_S && left_s <= self.depth_every_s
-        };
-        if self.depth_due.is_some_and(waits) {
+        if !self.pace.is_due(frame.stamp()) {
             return Ok(None);
         }
-        self.depth_due = Some(stamp.seconds_later(self.depth_every_s));
+        self.pace.asked(frame.stamp());
         let map = network.depth(frame).map_err(StepError::Depth)?;
         self.follower.keep_for_depth();
         self.follower.depth(&map)?;
