@@ -52,7 +52,8 @@ fn a_car_is_seen_ranged_and_followed() {
     let args = ["follow", "--source", &pictures, "--fps", "1", "--limit", "12", "--fov", "65"];
     let more = ["--target", "rc_car", "--engine", "rten", "--json", "--save", save];
     let run = realnet(&[args.as_slice(), &more].concat());
-    assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""), "{run:#?}");
+    assert_eq!(run.code, Some(0), "{run:#?}");
+    assert!(run.stderr.starts_with("realnet: 12 frames; frame to command: p50"), "{run:#?}");
     let found = lines(&run);
     assert_eq!(found.len(), 12);
     for line in &found {
@@ -142,4 +143,21 @@ fn bad_input_is_named() {
         let run = realnet(&[vec!["follow", "--source", source], args].concat());
         assert!(run.code == Some(2) && run.stderr.contains(said), "{said}: {run:#?}");
     }
+}
+
+/// Frames that come faster than they are done with: the newest is taken, none waits.
+#[test]
+fn in_real_time_the_newest_frame_counts() {
+    let Some(pictures) = shared("data/rc-car/seq2/images") else { return };
+    let pictures = format!("{}/00000*.jpg", pictures.display());
+    let args = ["follow", "--source", &pictures, "--fps", "1000", "--realtime", "--fov", "65"];
+    let run = realnet(&[args.as_slice(), &["--engine", "rten", "--json"]].concat());
+    assert_eq!(run.code, Some(0), "{run:#?}");
+    let frames: Vec<u64> = lines(&run).iter().map(|line| line["frame"].as_u64().unwrap()).collect();
+    assert!(frames.is_sorted() && frames.last() == Some(&9), "{frames:?}");
+    // What was not said anything of is told.
+    let missing = 10 - frames.len();
+    let told = format!("{missing} frames came while another one was in work");
+    assert!(missing == 0 || run.stderr.contains(&told), "{run:#?}");
+    assert!(run.stderr.contains("frame to command: p50"), "{run:#?}");
 }

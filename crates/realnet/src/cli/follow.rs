@@ -1,31 +1,34 @@
-//! `realnet follow`: see, range and follow, on recorded frames.
+//! `realnet follow`: see, range and follow.
 
+mod chase;
+mod feed;
 mod record;
 mod saver;
+mod spent;
 
 use super::camera_args::CameraArgs;
-use super::failure::{OrBadInput, Outcome, bad_input, is_broken_pipe, report, say};
-use super::model_args::{parse_classes, parse_positive};
+use super::failure::{OrBadInput, Outcome, is_broken_pipe, report, say};
+use super::model_args::{parse_positive, parse_size};
 use super::network_args::NetworkArgs;
-use super::output::Output;
 use super::robot_args::RobotArgs;
 use super::{interrupt, progress};
 use anyhow::{Error, Result};
+use chase::Chase;
 use clap::Args;
-use realnet::pipeline::{DepthEstimator, Follower, FollowerOptions, Serial, Step, StepError};
-use realnet::source::{self, Source, SourceFrame, SourceOptions};
-use realnet::{CameraModel, Detection, Distortion, Intrinsics};
-use record::{Clock, FollowRecord, describe};
+use feed::{Feed, Next, Shot};
+use realnet::source::{self, Source, SourceOptions};
+use realnet::{CameraModel, Distortion, Intrinsics};
 use saver::Saver;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-/// A target is taken up at its first detection where frames are further apart than this,
-/// seconds: three hits would take too long, and flow may not join them.
-const SPARSE_S: f64 = 0.25;
+/// The robot is looked after at least so often, whether or not a frame comes.
+const IDLE: Duration = Duration::from_millis(50);
 
 #[derive(Debug, Args)]
 pub(crate) struct FollowArgs {
-    /// A picture, folder or glob of pictures, or a video.
+    /// A picture, folder or glob of pictures, a video, stream (rtsp://…) or camera
+    /// (/dev/video0).
     #[arg(long, value_name = "WHAT")]
     source: String,
     /// Classes of the detector that may be the target, by name or number [default: all].
@@ -43,9 +46,16 @@ pub(crate) struct FollowArgs {
     /// Stop after so many frames.
     #[arg(long, value_name = "N")]
     limit: Option<u64>,
-    /// Frames a second of pictures [default: 30].
+    /// Recorded frames come when their stamps say, as from a camera: what is not taken in
+    /// time is dropped.
+    #[arg(long)]
+    realtime: bool,
+    /// Frames a second: stamps of pictures [default: 30], rate asked of a camera.
     #[arg(long, value_name = "RATE", value_parser = parse_positive)]
     fps: Option<f64>,
+    /// Picture size asked of a camera.
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<(u32, u32)>,
     /// Horizontal angle of view, degrees, where nothing else tells the camera
     /// [default: 65, with a warning].
     #[arg(long, value_name = "DEGREES", value_parser = parse_fov, conflicts_with_all = ["camera", "fx"])]
@@ -69,150 +79,85 @@ fn parse_fov(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &FollowArgs) -> Result<Outcome> {
-    let input = SourceOptions { fps: args.fps, ..SourceOptions::default() };
-    let mut source = source::open(&args.source, &input).or_bad_input()?;
-    if source.is_live() {
-        return Err(bad_input(format!("{}: only recorded frames can be followed", args.source)));
-    }
+    let input = SourceOptions { fps: args.fps, size: args.size, ..SourceOptions::default() };
+    let source = source::open(&args.source, &input).or_bad_input()?;
     interrupt::stop_on_interrupt(&source);
     let saver = args.save.as_deref().map(|folder| Saver::new(folder, &source)).transpose()?;
     let length = source.len_hint().map(|n| args.limit.map_or(n, |limit| n.min(limit)));
     let bar = progress::bar(length.filter(|n| *n > 1), "follow");
-    let mut chase = Chase { args, running: None, saver, output: Output::stdout(), bad: 0 };
-    let mut failure = None;
-    let mut seen = 0;
-    while args.limit.is_none_or(|limit| seen < limit) && !interrupt::interrupted() {
-        let Some(item) = source.next() else { break };
-        seen += 1;
-        let done = match item {
-            Ok(shot) => chase.frame(shot, &source, &bar),
-            Err(error) => {
-                bar.suspend(|| report(&Error::new(error)));
-                chase.bad += 1;
-                Ok(())
-            }
-        };
-        bar.inc(1);
-        if let Err(error) = done {
-            failure = Some(error);
-            break;
-        }
-    }
-    bar.finish_and_clear();
+    let live = args.realtime || source.is_live();
+    let mut chase = Chase::new(args, saver, bar, (live, source.fps()));
+    let (done, dropped) = if live {
+        by_itself(args, source, &mut chase)?
+    } else {
+        (recorded(args, source, &mut chase), 0)
+    };
+    let bad = chase.bad();
     // What was written must be closed before a failure is reported.
-    let closed = chase.saver.map_or(Ok(()), Saver::finish);
-    if let Some(error) = failure {
+    let closed = chase.finish();
+    if let Err(error) = done {
         if let (Err(second), false) = (&closed, is_broken_pipe(&error)) {
             report(second);
         }
         return Err(error);
     }
-    closed?;
-    Ok(match (interrupt::interrupted(), chase.bad) {
+    for said in closed? {
+        say(said);
+    }
+    if dropped > 0 {
+        say(format!("{dropped} frames came while another one was in work, and were dropped"));
+    }
+    Ok(match (interrupt::interrupted(), bad) {
         (true, _) => Outcome::Interrupted,
         (false, 0) => Outcome::Done,
         (false, _) => Outcome::BadInputs,
     })
 }
 
-/// What is there from the first frame on.
-struct Running {
-    serial: Serial,
-    size: (u32, u32),
-    names: Vec<String>,
-    /// The target's last detection.
-    target: Option<Detection>,
-}
-
-impl Running {
-    fn start(args: &FollowArgs, shot: &SourceFrame, fps: Option<f64>) -> Result<Self> {
-        let size = (shot.frame.width(), shot.frame.height());
-        let camera = camera(args, size)?;
-        let (detector, depth) = args.networks.start(&args.networks.runtime(1), camera)?;
-        let names = detector.0.names().to_vec();
-        let mut options = FollowerOptions {
-            classes: parse_classes(&args.target, &names)?,
-            ..args.robot.follower()
-        };
-        options.sight.min_confidence = args.networks.confidence();
-        if fps.is_some_and(|fps| fps * SPARSE_S < 1.0) {
-            options.sight.hits = 1;
-        }
-        let follower = Follower::new(&camera, options).or_bad_input()?;
-        let depth = depth.map(|depth| Box::new(depth) as Box<dyn DepthEstimator>);
-        let serial = Serial::new(follower, Box::new(detector), depth, 1.0 / args.depth_rate);
-        Ok(Self { serial, size, names, target: None })
-    }
-
-    fn step(&mut self, shot: &SourceFrame, clock: &mut Clock) -> Result<Step, StepError> {
-        let step = self.serial.step(&shot.frame, &mut |work| clock.mark(work))?;
-        let target = step.report.target.map(|at| at.bbox);
-        if let Some(bbox) = target {
-            let own = |found: &&Detection| found.bbox == bbox;
-            self.target = step.detections.iter().find(own).copied().or(self.target);
-        }
-        Ok(step)
-    }
-
-    /// Name of the target's class.
-    fn class(&self) -> Option<&str> {
-        self.names.get(self.target?.class_id as usize).map(String::as_str)
-    }
-}
-
-/// A run over all frames.
-struct Chase<'a> {
-    args: &'a FollowArgs,
-    running: Option<Running>,
-    saver: Option<Saver>,
-    output: Output,
-    /// Frames that could not be followed.
-    bad: usize,
-}
-
-impl Chase<'_> {
-    fn frame(
-        &mut self,
-        mut shot: SourceFrame,
-        source: &Source,
-        bar: &indicatif::ProgressBar,
-    ) -> Result<()> {
-        let running = match &mut self.running {
-            Some(running) => running,
-            none => none.insert(Running::start(self.args, &shot, source.fps())?),
-        };
-        let mut clock = Clock::start();
-        let size = (shot.frame.width(), shot.frame.height());
-        let step = if size == running.size {
-            running.step(&shot, &mut clock).map_err(Error::from)
-        } else {
-            let ((width, height), (w, h)) = (size, running.size);
-            Err(bad_input(format!("a frame of {width}x{height} after those of {w}x{h}")))
-        };
-        let step = match step {
-            Ok(step) => step,
-            Err(error) => {
-                let error = error.context(format!("{} #{}", shot.name, shot.index));
-                bar.suspend(|| report(&error));
-                self.bad += 1;
-                return Ok(());
+/// All frames, one after the other, however long it takes.
+fn recorded(args: &FollowArgs, mut source: Source, chase: &mut Chase<'_>) -> Result<()> {
+    let mut seen = 0;
+    while args.limit.is_none_or(|limit| seen < limit) && !interrupt::interrupted() {
+        let Some(item) = source.next() else { break };
+        seen += 1;
+        match item {
+            Ok(shot) => {
+                let stamp = shot.frame.stamp();
+                if let Some(frame) = chase.frame(shot, Instant::now(), stamp)? {
+                    source.recycle(frame);
+                }
             }
-        };
-        let class = running.class();
-        if self.args.json {
-            let record = FollowRecord::new(shot.index, &shot.name, class, &step, &clock);
-            self.output.json(&record)?;
-        } else {
-            let line = describe(shot.index, &shot.name, &step, &clock);
-            bar.suspend(|| self.output.line(line))?;
+            Err(error) => chase.complain(&Error::new(error)),
         }
-        if let Some(saver) = &mut self.saver {
-            let name = class.unwrap_or_default();
-            saver.save(&mut shot, &step, running.target.as_ref(), name, source.fps())?;
-        }
-        source.recycle(shot.frame);
-        Ok(())
     }
+    Ok(())
+}
+
+/// Frames as they come, the newest first. Beside the outcome: how many were dropped.
+fn by_itself(
+    args: &FollowArgs,
+    source: Source,
+    chase: &mut Chase<'_>,
+) -> Result<(Result<()>, u64)> {
+    let feed = Feed::start(source)?;
+    let mut seen = 0;
+    let mut each = || -> Result<()> {
+        while args.limit.is_none_or(|limit| seen < limit) && !interrupt::interrupted() {
+            match feed.next(IDLE) {
+                Next::Shot(Ok(Shot { shot, arrived })) => {
+                    seen += 1;
+                    let now = feed.now().unwrap_or(shot.frame.stamp());
+                    chase.frame(shot, arrived, now)?;
+                }
+                Next::Shot(Err(error)) => chase.complain(&Error::new(error)),
+                Next::Nothing => feed.now().into_iter().for_each(|now| chase.idle(now)),
+                Next::End => break,
+            }
+        }
+        Ok(())
+    };
+    let done = each();
+    Ok((done, feed.dropped()))
 }
 
 /// The camera of frames of this size.

@@ -11,25 +11,32 @@ use std::time::Instant;
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
     last: Instant,
-    /// By name, in the order of the work.
-    spent: [(Work, f64); Work::ALL.len()],
+    /// What was done, and how long it took.
+    spent: [Option<f64>; Work::ALL.len()],
 }
 
 impl Clock {
     pub(super) fn start() -> Self {
-        Self { last: Instant::now(), spent: Work::ALL.map(|work| (work, 0.0)) }
+        Self { last: Instant::now(), spent: [None; Work::ALL.len()] }
     }
 
+    /// A part of the work is done.
     pub(super) fn mark(&mut self, done: Work) {
         let now = Instant::now();
-        if let Some((_, ms)) = self.spent.iter_mut().find(|(work, _)| *work == done) {
-            *ms += (now - self.last).as_secs_f64() * 1e3;
-        }
+        self.took(done, (now - self.last).as_secs_f64() * 1e3);
         self.last = now;
     }
 
+    /// A part of the work took so long, elsewhere.
+    pub(super) fn took(&mut self, done: Work, ms: f64) {
+        if let Some(spent) = self.spent.get_mut(done as usize) {
+            *spent = Some(spent.unwrap_or(0.0) + ms);
+        }
+    }
+
+    /// What was done, with its milliseconds.
     pub(super) fn spent(&self) -> impl Iterator<Item = (Work, f64)> + '_ {
-        self.spent.iter().copied()
+        Work::ALL.into_iter().zip(self.spent).filter_map(|(work, ms)| Some((work, ms?)))
     }
 }
 

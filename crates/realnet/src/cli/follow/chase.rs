@@ -1,0 +1,206 @@
+//! Frame after frame: what is said of each, and what is kept.
+
+use super::record::{Clock, FollowRecord, describe};
+use super::saver::Saver;
+use super::spent::Spent;
+use super::{FollowArgs, camera};
+use crate::cli::failure::{OrBadInput, bad_input, report};
+use crate::cli::model_args::parse_classes;
+use crate::cli::output::Output;
+use anyhow::{Error, Result};
+use indicatif::ProgressBar;
+use realnet::pipeline::{
+    DepthEstimator, Follower, FollowerOptions, Live, NetworkFailure, Serial, Step,
+};
+use realnet::source::SourceFrame;
+use realnet::{Detection, Frame, Stamp};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A target is taken up at its first detection where frames are further apart than this,
+/// seconds: three hits would take too long, and flow may not join them.
+const SPARSE_S: f64 = 0.25;
+
+/// How the networks are run.
+enum Engine {
+    /// One after the other.
+    Serial(Serial),
+    /// On threads.
+    Live(Box<Live>),
+}
+
+/// What is there from the first frame on.
+struct Running {
+    engine: Engine,
+    size: (u32, u32),
+    names: Vec<String>,
+    /// The target's last detection.
+    target: Option<Detection>,
+}
+
+impl Running {
+    fn start(args: &FollowArgs, frame: &Frame, fps: Option<f64>, live: bool) -> Result<Self> {
+        let size = (frame.width(), frame.height());
+        let camera = camera(args, size)?;
+        let (detector, depth) = args.networks.start(&args.networks.runtime(1), camera)?;
+        let names = detector.0.names().to_vec();
+        let classes = parse_classes(&args.target, &names)?;
+        let mut options = FollowerOptions { classes, ..args.robot.follower() };
+        options.sight.min_confidence = args.networks.confidence();
+        if fps.is_some_and(|fps| fps * SPARSE_S < 1.0) {
+            options.sight.hits = 1;
+        }
+        let follower = Follower::new(&camera, options).or_bad_input()?;
+        let detector = Box::new(detector);
+        let depth = depth.map(|depth| Box::new(depth) as Box<dyn DepthEstimator>);
+        let period_s = 1.0 / args.depth_rate;
+        let engine = if live {
+            Engine::Live(Box::new(Live::start(follower, detector, depth, period_s)?))
+        } else {
+            Engine::Serial(Serial::new(follower, detector, depth, period_s))
+        };
+        Ok(Self { engine, size, names, target: None })
+    }
+
+    fn step(&mut self, frame: &Arc<Frame>, now: Stamp, clock: &mut Clock) -> Result<Step> {
+        let size = (frame.width(), frame.height());
+        if size != self.size {
+            let ((width, height), (w, h)) = (size, self.size);
+            return Err(bad_input(format!("a frame of {width}x{height} after those of {w}x{h}")));
+        }
+        let step = match &mut self.engine {
+            Engine::Serial(serial) => serial.step(frame, &mut |work| clock.mark(work))?,
+            Engine::Live(live) => {
+                let step = live.frame(frame, now, &mut |work| clock.mark(work))?;
+                live.times().for_each(|time| clock.took(time.work, time.ms));
+                step
+            }
+        };
+        if let Some(at) = step.report.target {
+            // Of a box that flow carried on, the detection that it overlaps most.
+            let overlap = |found: &Detection| found.bbox.iou(&at.bbox);
+            let found = step.detections.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)));
+            self.target = found.filter(|found| overlap(found) > 0.3).copied().or(self.target);
+        }
+        Ok(step)
+    }
+
+    /// Name of the target's class.
+    fn class(&self) -> Option<&str> {
+        self.names.get(self.target?.class_id as usize).map(String::as_str)
+    }
+}
+
+/// A run over all frames.
+pub(super) struct Chase<'a> {
+    args: &'a FollowArgs,
+    /// Whether frames come by themselves.
+    live: bool,
+    /// Frames a second, where that is known.
+    fps: Option<f64>,
+    running: Option<Running>,
+    saver: Option<Saver>,
+    output: Output,
+    bar: ProgressBar,
+    spent: Spent,
+    frames: u64,
+    /// Frames and answers that failed.
+    bad: usize,
+}
+
+impl<'a> Chase<'a> {
+    pub(super) fn new(
+        args: &'a FollowArgs,
+        saver: Option<Saver>,
+        bar: ProgressBar,
+        (live, fps): (bool, Option<f64>),
+    ) -> Self {
+        let (output, spent) = (Output::stdout(), Spent::new());
+        Self { args, live, fps, running: None, saver, output, bar, spent, frames: 0, bad: 0 }
+    }
+
+    /// Frames and answers that failed.
+    pub(super) const fn bad(&self) -> usize {
+        self.bad
+    }
+
+    /// Something was not as it should be; the run goes on.
+    pub(super) fn complain(&mut self, error: &Error) {
+        self.bar.suspend(|| report(error));
+        self.bad += 1;
+    }
+
+    /// A frame that came at `arrived`; it is `now`, by the clock of the stamps.
+    pub(super) fn frame(
+        &mut self,
+        shot: SourceFrame,
+        arrived: Instant,
+        now: Stamp,
+    ) -> Result<Option<Frame>> {
+        let SourceFrame { frame, index, name } = shot;
+        let running = match &mut self.running {
+            Some(running) => running,
+            none => none.insert(Running::start(self.args, &frame, self.fps, self.live)?),
+        };
+        let (frame, mut clock) = (Arc::new(frame), Clock::start());
+        let step = match running.step(&frame, now, &mut clock) {
+            Ok(step) => step,
+            Err(error) => {
+                self.complain(&error.context(format!("{name} #{index}")));
+                return Ok(None);
+            }
+        };
+        self.spent.add(&clock, arrived.elapsed().as_secs_f64() * 1e3);
+        self.frames += 1;
+        let class = running.class();
+        if self.args.json {
+            self.output.json(&FollowRecord::new(index, &name, class, &step, &clock))?;
+        } else {
+            let line = describe(index, &name, &step, &clock);
+            self.bar.suspend(|| self.output.line(line))?;
+        }
+        let target = running.target;
+        let mut frame = Arc::try_unwrap(frame).unwrap_or_else(|shared| (*shared).clone());
+        if let Some(saver) = &mut self.saver {
+            let label = class.unwrap_or_default();
+            let mut shot = SourceFrame { frame, index, name };
+            saver.save(&mut shot, &step, target.as_ref(), label, self.fps)?;
+            frame = shot.frame;
+        }
+        self.tell_failures();
+        Ok(Some(frame))
+    }
+
+    /// No frame came for a while.
+    pub(super) fn idle(&mut self, now: Stamp) {
+        if let Some(Running { engine: Engine::Live(live), .. }) = &mut self.running {
+            live.idle(now);
+        }
+        self.tell_failures();
+    }
+
+    fn tell_failures(&mut self) {
+        let Some(Running { engine: Engine::Live(live), .. }) = &mut self.running else { return };
+        let failures: Vec<NetworkFailure> = live.failures().collect();
+        for NetworkFailure { work, stamp, error } in failures {
+            self.complain(&anyhow::anyhow!("{} at {} s: {error}", work.name(), stamp.secs_f64()));
+        }
+    }
+
+    /// Closes what is open, and says where the time went.
+    pub(super) fn finish(self) -> Result<Vec<String>> {
+        self.bar.finish_and_clear();
+        let mut said = Vec::new();
+        if self.frames > 0 {
+            said.push(format!("{} frames; {}", self.frames, self.spent));
+        }
+        if let Some(Running { engine: Engine::Live(live), .. }) = &self.running {
+            for (name, counts) in ["detector", "depth network"].into_iter().zip(live.counts()) {
+                let (taken, skipped) = (counts.taken, counts.skipped);
+                said.push(format!("the {name} took {taken} frames, was busy at {skipped}"));
+            }
+        }
+        self.saver.map_or(Ok(()), Saver::finish)?;
+        Ok(said)
+    }
+}
