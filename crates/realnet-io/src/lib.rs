@@ -6,6 +6,7 @@
 //! | [`depth`] | grey PNG and PGM files to [`DepthMap`](realnet_core::DepthMap) |
 //! | [`source`] | one iterator over pictures, folders, globs, video, streams and cameras |
 //! | [`video`] | annotated video through an installed ffmpeg |
+//! | [`actuator`] | commands to motors: JSON datagrams, VESC |
 //! | [`annotate`] | boxes, labels and flow drawn on a frame |
 //! | [`datasets`] | YOLO `data.yaml`, COCO json, RGB-D sequences, boxes of a target |
 //! | [`results`] | JSON lines, YOLO text and COCO results of a run |
@@ -15,6 +16,7 @@
 //! This crate may read clocks, start threads and start processes; it never
 //! prints. Each error names the file, the place in it and the value.
 
+pub mod actuator;
 pub mod annotate;
 pub mod atomic;
 pub mod datasets;
