@@ -161,3 +161,42 @@ fn in_real_time_the_newest_frame_counts() {
     assert!(missing == 0 || run.stderr.contains(&told), "{run:#?}");
     assert!(run.stderr.contains("frame to command: p50"), "{run:#?}");
 }
+
+/// The robot hears every command, and a stop at the end; nothing without `--drive`.
+#[test]
+fn motors_hear_commands_and_a_stop() {
+    let Some(pictures) = shared("data/rc-car/seq2/images") else { return };
+    let pictures = format!("{}/00000*.jpg", pictures.display());
+    let robot = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    robot.set_nonblocking(true).unwrap();
+    let actuator = format!("udp://{}", robot.local_addr().unwrap());
+    let args = ["follow", "--source", &pictures, "--fps", "20", "--fov", "65", "--json"];
+    let motors = ["--actuator", &actuator, "--engine", "rten"];
+    let heard = || {
+        let mut bytes = [0; 512];
+        let messages =
+            std::iter::from_fn(|| robot.recv(&mut bytes).ok().map(|n| bytes[..n].to_vec()));
+        messages.map(|bytes| serde_json::from_slice(&bytes).unwrap()).collect::<Vec<Value>>()
+    };
+    let run = realnet(&[args.as_slice(), &motors, &["--realtime"]].concat());
+    assert_eq!((run.code, heard().len()), (Some(0), 0), "{run:#?}");
+    let run = realnet(&[args.as_slice(), &motors, &["--realtime", "--drive"]].concat());
+    assert_eq!(run.code, Some(0), "{run:#?}");
+    let messages = heard();
+    let said = lines(&run);
+    assert!(messages.len() >= said.len() + 5, "{} {}", messages.len(), said.len());
+    for line in &said {
+        let command = &line["command"];
+        let sent = |message: &Value| {
+            (message["speed_mps"].as_f64().unwrap() - command["speed_mps"].as_f64().unwrap()).abs()
+                < 1e-6
+                && message["stop"] == command["stop"]
+        };
+        assert!(messages.iter().any(sent), "{line}");
+    }
+    let last = messages.last().unwrap();
+    assert_eq!((&last["speed_mps"], &last["stop"]), (&0.0.into(), &"requested".into()));
+    // Recorded frames drive nobody.
+    let run = realnet(&[args.as_slice(), &motors, &["--drive"]].concat());
+    assert!(run.code == Some(2) && run.stderr.contains("--drive is for"), "{run:#?}");
+}

@@ -2,6 +2,7 @@
 
 mod chase;
 mod feed;
+mod motors;
 mod record;
 mod saver;
 mod spent;
@@ -16,6 +17,7 @@ use anyhow::{Error, Result};
 use chase::Chase;
 use clap::Args;
 use feed::{Feed, Next, Shot};
+use motors::MotorArgs;
 use realnet::source::{self, Source, SourceOptions};
 use realnet::{CameraModel, Distortion, Intrinsics};
 use saver::Saver;
@@ -65,6 +67,8 @@ pub(crate) struct FollowArgs {
     #[command(flatten)]
     robot: RobotArgs,
     #[command(flatten)]
+    motors: MotorArgs,
+    #[command(flatten)]
     networks: NetworkArgs,
 }
 
@@ -86,7 +90,8 @@ pub(crate) fn run(args: &FollowArgs) -> Result<Outcome> {
     let length = source.len_hint().map(|n| args.limit.map_or(n, |limit| n.min(limit)));
     let bar = progress::bar(length.filter(|n| *n > 1), "follow");
     let live = args.realtime || source.is_live();
-    let mut chase = Chase::new(args, saver, bar, (live, source.fps()));
+    let motors = args.motors.open(live)?;
+    let mut chase = Chase::new(args, (saver, motors), bar, (live, source.fps()));
     let (done, dropped) = if live {
         by_itself(args, source, &mut chase)?
     } else {

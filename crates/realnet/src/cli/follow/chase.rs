@@ -1,5 +1,6 @@
 //! Frame after frame: what is said of each, and what is kept.
 
+use super::motors::Motors;
 use super::record::{Clock, FollowRecord, describe};
 use super::saver::Saver;
 use super::spent::Spent;
@@ -100,6 +101,7 @@ pub(super) struct Chase<'a> {
     fps: Option<f64>,
     running: Option<Running>,
     saver: Option<Saver>,
+    motors: Option<Motors>,
     output: Output,
     bar: ProgressBar,
     spent: Spent,
@@ -111,12 +113,24 @@ pub(super) struct Chase<'a> {
 impl<'a> Chase<'a> {
     pub(super) fn new(
         args: &'a FollowArgs,
-        saver: Option<Saver>,
+        (saver, motors): (Option<Saver>, Option<Motors>),
         bar: ProgressBar,
         (live, fps): (bool, Option<f64>),
     ) -> Self {
         let (output, spent) = (Output::stdout(), Spent::new());
-        Self { args, live, fps, running: None, saver, output, bar, spent, frames: 0, bad: 0 }
+        Self {
+            args,
+            live,
+            fps,
+            running: None,
+            saver,
+            motors,
+            output,
+            bar,
+            spent,
+            frames: 0,
+            bad: 0,
+        }
     }
 
     /// Frames and answers that failed.
@@ -150,6 +164,7 @@ impl<'a> Chase<'a> {
                 return Ok(None);
             }
         };
+        let driven = self.motors.as_mut().map_or(Ok(()), |motors| motors.send(&step.command));
         self.spent.add(&clock, arrived.elapsed().as_secs_f64() * 1e3);
         self.frames += 1;
         let class = running.class();
@@ -167,6 +182,9 @@ impl<'a> Chase<'a> {
             saver.save(&mut shot, &step, target.as_ref(), label, self.fps)?;
             frame = shot.frame;
         }
+        if let Err(error) = driven {
+            self.complain(&error);
+        }
         self.tell_failures();
         Ok(Some(frame))
     }
@@ -174,7 +192,11 @@ impl<'a> Chase<'a> {
     /// No frame came for a while.
     pub(super) fn idle(&mut self, now: Stamp) {
         if let Some(Running { engine: Engine::Live(live), .. }) = &mut self.running {
-            live.idle(now);
+            let command = live.idle(now);
+            let driven = self.motors.as_mut().map_or(Ok(()), |motors| motors.send(&command));
+            if let Err(error) = driven {
+                self.complain(&error);
+            }
         }
         self.tell_failures();
     }
