@@ -135,7 +135,7 @@ pub enum Content {
     /// A frame, as the bytes of a JPEG or PNG file for [`crate::picture::decode`].
     Image(Vec<u8>),
     /// The camera. Its name is `camera` where it was recorded without one.
-    Calibration(CameraCalibration),
+    Calibration(Box<CameraCalibration>),
     /// What a detector found in one frame; empty when it found nothing.
     Detections(Vec<NamedDetection>),
     /// A depth map; its stamp is that of the message.

@@ -42,7 +42,7 @@ fn described(recorded: &Recorded) -> Vec<(&'static str, Value)> {
             vec![("/camera/image", described)]
         }
         Content::Calibration(camera) => {
-            assert_eq!(*camera, calibration());
+            assert_eq!(**camera, calibration());
             let described = json!({
                 "stamp": stamp, "frame_id": "front", "width": 24, "height": 16,
                 "model": "plumb_bob", "d": [-0.3, 0.1, 1e-4, -2e-4, 0.05],

@@ -278,7 +278,7 @@ pub(super) fn decode(topic: Topic, times: Times, data: Bytes) -> Result<Option<C
             let message = protobuf::<CompressedImage>(data)?;
             Content::Image(message.data.into())
         }
-        Topic::Calibration => Content::Calibration(read_calibration(protobuf(data)?)?),
+        Topic::Calibration => Content::Calibration(Box::new(read_calibration(protobuf(data)?)?)),
         Topic::Detections => Content::Detections(read_detections(json(&data)?)),
         Topic::Annotations => return Ok(None),
         Topic::Depth => Content::Depth(read_depth(times, &protobuf(data)?)?),
@@ -325,7 +325,7 @@ mod tests {
                 .unwrap();
             let message = calibration(Timestamp::MIN, "front", &given);
             let read = decode(Topic::Calibration, TIMES, bytes_of(&message)).unwrap();
-            assert_eq!(read, Some(Content::Calibration(given)));
+            assert_eq!(read, Some(Content::Calibration(given.into())));
         }
     }
 

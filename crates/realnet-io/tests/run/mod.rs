@@ -115,7 +115,7 @@ impl Step {
             Content::Command(self.command),
         ];
         if self.index == 0 {
-            contents.insert(0, Content::Calibration(calibration()));
+            contents.insert(0, Content::Calibration(calibration().into()));
         }
         let recorded = contents.into_iter().map(|content| {
             let stamp = match content {
