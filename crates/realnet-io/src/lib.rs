@@ -8,6 +8,7 @@
 //! | [`video`] | annotated video through an installed ffmpeg |
 //! | [`actuator`] | commands to motors: JSON datagrams, VESC |
 //! | [`annotate`] | boxes, labels and flow drawn on a frame |
+//! | [`recording`] | runs as MCAP files, written and read |
 //! | [`datasets`] | YOLO `data.yaml`, COCO json, RGB-D sequences, boxes of a target |
 //! | [`results`] | JSON lines, YOLO text and COCO results of a run |
 //! | [`atomic`] | files that are whole or not there |
@@ -23,6 +24,7 @@ pub mod datasets;
 pub mod depth;
 mod ffmpeg;
 pub mod picture;
+pub mod recording;
 pub mod results;
 pub mod source;
 pub mod video;
