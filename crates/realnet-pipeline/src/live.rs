@@ -54,6 +54,7 @@ pub struct Live {
     pace: Pace,
     counts: [NetworkCounts; 2],
     detections: Vec<Detection>,
+    found_on: Option<Stamp>,
     failures: Vec<NetworkFailure>,
     times: Vec<NetworkTime>,
 }
@@ -82,6 +83,7 @@ impl Live {
             pace: Pace::new(depth_every_s),
             counts: [NetworkCounts::default(); 2],
             detections: Vec::new(),
+            found_on: None,
             failures: Vec::new(),
             times: Vec::new(),
         })
@@ -132,7 +134,8 @@ impl Live {
         self.ask(frame);
         let command = self.follower.command(now);
         mark(Work::Command);
-        Ok(Step { report, detections: self.detections.clone(), depth, command })
+        let (detections, found_on) = (self.detections.clone(), self.found_on);
+        Ok(Step { report, detections, found_on, depth, command })
     }
 
     /// The command when no frame came: by a timer of 50 ms or less.
@@ -149,7 +152,7 @@ impl Live {
             match answer.value {
                 Ok(found) => {
                     self.follower.detections(answer.stamp, &found);
-                    self.detections = found;
+                    (self.detections, self.found_on) = (found, Some(answer.stamp));
                 }
                 Err(error) => self.failed(Work::Detect, answer.stamp, error),
             }

@@ -65,7 +65,7 @@ impl Serial {
         let report = self.follower.revised(&report);
         let command = self.follower.command(stamp);
         mark(Work::Command);
-        Ok(Step { report, detections, depth, command })
+        Ok(Step { report, detections, found_on: Some(stamp), depth, command })
     }
 
     /// Asks the depth network, if it is its turn.

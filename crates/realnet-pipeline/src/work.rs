@@ -39,6 +39,8 @@ pub struct Step {
     pub report: FrameReport,
     /// The newest objects that were found, whether or not the target is among them.
     pub detections: Vec<Detection>,
+    /// Exposure time of the frame that they were found on; `None` before the first answer.
+    pub found_on: Option<Stamp>,
     /// A depth map that was taken up with it, which has the stamp of its own frame.
     pub depth: Option<DepthMap>,
     /// The command.

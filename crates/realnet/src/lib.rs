@@ -41,7 +41,9 @@ pub use realnet_core::{
 };
 pub use realnet_eval as eval;
 pub use realnet_fusion as fusion;
-pub use realnet_io::{actuator, annotate, atomic, datasets, picture, results, source, video};
+pub use realnet_io::{
+    actuator, annotate, atomic, datasets, picture, recording, results, source, video,
+};
 pub use realnet_nn::detector::{DetectError, Detector, DetectorModel, DetectorOptions, Stage};
 pub use realnet_nn::engine::{EngineChoice, Provider, Runtime, RuntimeOptions};
 pub use realnet_nn::{depth, onnx, vnl, vnl_lite, weights, yolov5};

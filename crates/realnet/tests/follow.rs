@@ -200,3 +200,56 @@ fn motors_hear_commands_and_a_stop() {
     let run = realnet(&[args.as_slice(), &motors, &["--drive"]].concat());
     assert!(run.code == Some(2) && run.stderr.contains("--drive is for"), "{run:#?}");
 }
+
+/// Everything of a run, as a file that other programs read too.
+#[test]
+fn a_run_is_recorded() {
+    use realnet::recording::{Content, RunReader};
+    let Some(pictures) = shared("data/rc-car/seq2/images") else { return };
+    let folder = tempdir().unwrap();
+    let pictures = format!("{}/00000[0-4].jpg", pictures.display());
+    let run_file = folder.path().join("run.mcap");
+    let record = run_file.to_str().unwrap();
+    let args = ["follow", "--source", &pictures, "--fps", "2", "--fov", "65", "--json"];
+    let args = [args.as_slice(), &["--engine", "rten", "--record", record]].concat();
+    let run = realnet(&args);
+    assert_eq!(run.code, Some(0), "{run:#?}");
+    let said = lines(&run);
+    let recorded = RunReader::open(&run_file).unwrap();
+    assert!(recorded.info().parameters.contains("--record"), "{:?}", recorded.info());
+    let (mut states, mut counts) = (Vec::new(), [0; 5]);
+    for message in recorded {
+        let message = message.unwrap();
+        let kind = match message.content {
+            Content::Image(bytes) => {
+                assert!(bytes.starts_with(&[0xff, 0xd8]), "a JPEG");
+                0
+            }
+            Content::Calibration(camera) => {
+                assert_eq!(camera.camera().width(), 1280);
+                1
+            }
+            Content::Detections(found) => {
+                assert!(found.iter().any(|found| found.class == "rc_car"), "{found:?}");
+                2
+            }
+            Content::Depth(map) => {
+                assert_eq!((map.width(), map.height()), (256, 144));
+                3
+            }
+            Content::Command(command) => {
+                assert_eq!(command.stamp, message.times.stamp);
+                4
+            }
+            Content::State(state) => {
+                states.push(state);
+                continue;
+            }
+        };
+        counts[kind] += 1;
+    }
+    assert_eq!((counts, &states), ([5, 1, 5, 5, 5], &said));
+    // A recording is never overwritten.
+    let again = realnet(&args);
+    assert!(again.code != Some(0) && again.stderr.contains("run.mcap"), "{again:#?}");
+}

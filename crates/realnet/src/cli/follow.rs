@@ -4,6 +4,7 @@ mod chase;
 mod feed;
 mod motors;
 mod record;
+mod recorder;
 mod saver;
 mod spent;
 
@@ -42,6 +43,10 @@ pub(crate) struct FollowArgs {
     /// Write annotated pictures, or one annotated video, into this directory.
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
+    /// Record everything into this new MCAP file: frames, detections, depth, state, commands;
+    /// Foxglove shows it.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// One JSON object a frame on standard output, and nothing else there.
     #[arg(long)]
     json: bool,

@@ -2,9 +2,11 @@
 
 use super::motors::Motors;
 use super::record::{Clock, FollowRecord, describe};
+use super::recorder::{Ended, Moment, Recorder};
 use super::saver::Saver;
 use super::spent::Spent;
 use super::{FollowArgs, camera};
+use crate::cli::command_line;
 use crate::cli::failure::{OrBadInput, bad_input, report};
 use crate::cli::model_args::parse_classes;
 use crate::cli::output::Output;
@@ -13,8 +15,9 @@ use indicatif::ProgressBar;
 use realnet::pipeline::{
     DepthEstimator, Follower, FollowerOptions, Live, NetworkFailure, Serial, Step,
 };
+use realnet::recording::RunInfo;
 use realnet::source::SourceFrame;
-use realnet::{Detection, Frame, Stamp};
+use realnet::{CameraModel, Detection, Frame, Stamp};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -33,7 +36,7 @@ enum Engine {
 /// What is there from the first frame on.
 struct Running {
     engine: Engine,
-    size: (u32, u32),
+    camera: CameraModel,
     names: Vec<String>,
     /// The target's last detection.
     target: Option<Detection>,
@@ -60,13 +63,13 @@ impl Running {
         } else {
             Engine::Serial(Serial::new(follower, detector, depth, period_s))
         };
-        Ok(Self { engine, size, names, target: None })
+        Ok(Self { engine, camera, names, target: None })
     }
 
     fn step(&mut self, frame: &Arc<Frame>, now: Stamp, clock: &mut Clock) -> Result<Step> {
         let size = (frame.width(), frame.height());
-        if size != self.size {
-            let ((width, height), (w, h)) = (size, self.size);
+        if size != (self.camera.width(), self.camera.height()) {
+            let ((width, height), w, h) = (size, self.camera.width(), self.camera.height());
             return Err(bad_input(format!("a frame of {width}x{height} after those of {w}x{h}")));
         }
         let step = match &mut self.engine {
@@ -102,6 +105,9 @@ pub(super) struct Chase<'a> {
     running: Option<Running>,
     saver: Option<Saver>,
     motors: Option<Motors>,
+    recorder: Option<Recorder>,
+    /// Which detections are recorded.
+    recorded: Option<Stamp>,
     output: Output,
     bar: ProgressBar,
     spent: Spent,
@@ -125,6 +131,8 @@ impl<'a> Chase<'a> {
             running: None,
             saver,
             motors,
+            recorder: None,
+            recorded: None,
             output,
             bar,
             spent,
@@ -154,7 +162,19 @@ impl<'a> Chase<'a> {
         let SourceFrame { frame, index, name } = shot;
         let running = match &mut self.running {
             Some(running) => running,
-            none => none.insert(Running::start(self.args, &frame, self.fps, self.live)?),
+            none => {
+                let running = Running::start(self.args, &frame, self.fps, self.live)?;
+                self.recorder = self
+                    .args
+                    .record
+                    .as_deref()
+                    .map(|path| {
+                        let (camera, names) = (&running.camera, running.names.clone());
+                        Recorder::start(path, camera, names, &info(), self.live)
+                    })
+                    .transpose()?;
+                none.insert(running)
+            }
         };
         let (frame, mut clock) = (Arc::new(frame), Clock::start());
         let step = match running.step(&frame, now, &mut clock) {
@@ -168,8 +188,23 @@ impl<'a> Chase<'a> {
         self.spent.add(&clock, arrived.elapsed().as_secs_f64() * 1e3);
         self.frames += 1;
         let class = running.class();
+        let record = FollowRecord::new(index, &name, class, &step, &clock);
+        let mut recorded = Ok(());
+        if let Some(recorder) = &mut self.recorder {
+            let moment = Moment {
+                arrival: now,
+                frame: Arc::clone(&frame),
+                detections: step.detections.clone(),
+                found_on: step.found_on.filter(|stamp| self.recorded != Some(*stamp)),
+                depth: step.depth.clone(),
+                state: serde_json::to_value(&record)?,
+                command: step.command,
+            };
+            self.recorded = step.found_on;
+            recorded = recorder.take(moment);
+        }
         if self.args.json {
-            self.output.json(&FollowRecord::new(index, &name, class, &step, &clock))?;
+            self.output.json(&record)?;
         } else {
             let line = describe(index, &name, &step, &clock);
             self.bar.suspend(|| self.output.line(line))?;
@@ -185,6 +220,9 @@ impl<'a> Chase<'a> {
         if let Err(error) = driven {
             self.complain(&error);
         }
+        if let Err(Ended) = recorded {
+            self.end_recording();
+        }
         self.tell_failures();
         Ok(Some(frame))
     }
@@ -199,6 +237,13 @@ impl<'a> Chase<'a> {
             }
         }
         self.tell_failures();
+    }
+
+    /// The recording goes no further, the robot does.
+    fn end_recording(&mut self) {
+        if let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
+            self.complain(&error);
+        }
     }
 
     fn tell_failures(&mut self) {
@@ -222,7 +267,19 @@ impl<'a> Chase<'a> {
                 said.push(format!("the {name} took {taken} frames, was busy at {skipped}"));
             }
         }
-        self.saver.map_or(Ok(()), Saver::finish)?;
+        let saved = self.saver.map_or(Ok(()), Saver::finish);
+        let left_out = self.recorder.map_or(Ok(0), Recorder::finish)?;
+        if left_out > 0 {
+            said.push(format!("{left_out} frames are not in the recording: the disk was too slow"));
+        }
+        saved?;
         Ok(said)
     }
+}
+
+/// What a recording says of the run.
+fn info() -> RunInfo {
+    let version = ("realnet".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
+    let parameters = format!("command = {:?}\n", command_line());
+    RunInfo { parameters, versions: [version].into() }
 }
