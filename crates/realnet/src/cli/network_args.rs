@@ -22,7 +22,7 @@ pub(crate) struct NetworkArgs {
     #[arg(long, value_name = "FILE|none")]
     depth: Option<PathBuf>,
     /// Least confidence of a detection, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.15, value_parser = parse_share)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.25, value_parser = parse_share)]
     conf: f32,
     #[command(flatten)]
     engine: EngineArgs,
