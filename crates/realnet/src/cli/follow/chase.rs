@@ -28,7 +28,7 @@ const SPARSE_S: f64 = 0.25;
 /// How the networks are run.
 enum Engine {
     /// One after the other.
-    Serial(Serial),
+    Serial(Box<Serial>),
     /// On threads.
     Live(Box<Live>),
 }
@@ -61,7 +61,7 @@ impl Running {
         let engine = if live {
             Engine::Live(Box::new(Live::start(follower, detector, depth, period_s)?))
         } else {
-            Engine::Serial(Serial::new(follower, detector, depth, period_s))
+            Engine::Serial(Box::new(Serial::new(follower, detector, depth, period_s)))
         };
         Ok(Self { engine, camera, names, target: None })
     }
