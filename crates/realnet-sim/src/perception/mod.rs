@@ -2,7 +2,7 @@
 //!
 //! The simulator's truth plays them: true depth maps and true boxes go in, and what a
 //! network would have said comes out, late, with a network's errors. Or networks look at
-//! the rendered pictures themselves, see [`Perception`].
+//! the rendered pictures themselves, see [`Perception`](crate::Perception).
 //!
 //! | type | plays |
 //! |---|---|
