@@ -245,3 +245,24 @@ fn bad_input_is_named() {
     }
     assert!(listing(folder.path()).is_empty(), "nothing is left behind");
 }
+
+/// Networks see what is drawn, the program's own where none is named.
+#[test]
+fn networks_see_for_the_follower() {
+    let args = ["--scenario", "slalom", "--seed", "1", "--json", "--engine", "rten"];
+    let sim = |more: &[&str]| realnet(&[&["sim"], args.as_slice(), more].concat());
+    let run = sim(&["--perception", "networks"]);
+    let found = &judged(&run)[0];
+    assert!(found["tracked_share"].as_f64().unwrap() > 0.9, "{found}");
+    assert!(found["range_abs_rel"].as_f64().unwrap() < 0.15, "{found}");
+    assert_eq!(found["collisions"], 0);
+    let truth = sim(&[]);
+    assert_ne!(judged(&truth)[0]["range_abs_rel"], found["range_abs_rel"]);
+    for (more, said) in [
+        (["--depth", "none"].as_slice(), "--perception networks"),
+        (&["--perception", "networks", "--detector", "nowhere.onnx"], "nowhere.onnx"),
+    ] {
+        let run = sim(more);
+        assert!(run.code == Some(2) && run.stderr.contains(said), "{run:#?}");
+    }
+}

@@ -29,6 +29,11 @@ pub(crate) struct NetworkArgs {
 }
 
 impl NetworkArgs {
+    /// Whether a network is named.
+    pub(crate) const fn is_given(&self) -> bool {
+        self.detector.is_some() || self.depth.is_some()
+    }
+
     /// The engine, for `sharing` networks at a time.
     pub(crate) fn runtime(&self, sharing: usize) -> Runtime {
         self.engine.start_sharing(sharing)

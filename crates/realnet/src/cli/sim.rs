@@ -151,6 +151,9 @@ pub(crate) fn run(args: &SimArgs) -> Result<Outcome> {
     }
     let several = wanted.len() > 1;
     let runtime = match args.perception {
+        PerceptionFlag::Truth if args.networks.is_given() => {
+            return Err(bad_input("--detector and --depth are for --perception networks"));
+        }
         PerceptionFlag::Truth => None,
         PerceptionFlag::Networks => Some(args.networks.runtime(jobs(args).min(wanted.len()))),
     };
