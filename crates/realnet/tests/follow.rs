@@ -253,3 +253,24 @@ fn a_run_is_recorded() {
     let again = realnet(&args);
     assert!(again.code != Some(0) && again.stderr.contains("run.mcap"), "{again:#?}");
 }
+
+/// Frames that cannot be followed leave no motor without a command.
+#[test]
+fn refused_frames_are_commands_too() {
+    let folder = tempdir().unwrap();
+    for index in 0..90 {
+        let width = if index == 0 { 320 } else { 300 };
+        grey(folder.path(), &format!("{index:02}.png"), width, 240);
+    }
+    let robot = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    robot.set_nonblocking(true).unwrap();
+    let actuator = format!("udp://{}", robot.local_addr().unwrap());
+    let source = folder.path().to_str().unwrap();
+    let args = ["follow", "--source", source, "--fov", "65", "--realtime", "--engine", "rten"];
+    let run = realnet(&[args.as_slice(), &["--actuator", &actuator, "--drive"]].concat());
+    assert_eq!(run.code, Some(2), "{run:#?}");
+    let refused = run.stderr.matches("after those of 320x240").count();
+    let messages = std::iter::from_fn(|| robot.recv(&mut [0; 512]).ok()).count();
+    // That of the first frame, those of the refused ones, and the last stops.
+    assert!(refused > 0 && messages >= 1 + refused + 5, "{messages} for {refused}: {run:#?}");
+}

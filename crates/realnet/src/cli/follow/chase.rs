@@ -181,6 +181,8 @@ impl<'a> Chase<'a> {
             Ok(step) => step,
             Err(error) => {
                 self.complain(&error.context(format!("{name} #{index}")));
+                // A frame that is refused is no command; the motors need one all the same.
+                self.idle(now);
                 return Ok(None);
             }
         };
@@ -227,7 +229,7 @@ impl<'a> Chase<'a> {
         Ok(Some(frame))
     }
 
-    /// No frame came for a while.
+    /// No frame came for a while, or none that can be followed.
     pub(super) fn idle(&mut self, now: Stamp) {
         if let Some(Running { engine: Engine::Live(live), .. }) = &mut self.running {
             let command = live.idle(now);
