@@ -323,7 +323,7 @@ impl Follower {
             self.height = Some(f64::from(at.bbox.height()) * range);
         }
         let fixed_from_base = self.odometry.pose_at(stamp).unwrap_or_default();
-        let position = fused_m.zip(target).and_then(|((m, _), at)| self.ranging.place(&at, m));
+        let position = fused_m.zip(target).and_then(|((m, _), at)| self.ranging.lift(&at.bbox, m));
         let velocity =
             track.and_then(|track| track.seen_from(&fixed_from_base).estimate).map(|estimate| {
                 let base = Vector3::new(estimate.velocity.x, estimate.velocity.y, 0.0);

@@ -55,6 +55,8 @@ pub struct Live {
     counts: [NetworkCounts; 2],
     detections: Vec<Detection>,
     found_on: Option<Stamp>,
+    /// The newest map, until a frame's step has it.
+    map: Option<DepthMap>,
     failures: Vec<NetworkFailure>,
     times: Vec<NetworkTime>,
 }
@@ -84,6 +86,7 @@ impl Live {
             counts: [NetworkCounts::default(); 2],
             detections: Vec::new(),
             found_on: None,
+            map: None,
             failures: Vec::new(),
             times: Vec::new(),
         })
@@ -128,14 +131,14 @@ impl Live {
         now: Stamp,
         mark: &mut dyn FnMut(Work),
     ) -> Result<Step, MotionError> {
-        let depth = self.hear();
+        self.hear();
         let report = self.follower.frame(frame)?;
         mark(Work::Motion);
         self.ask(frame);
         let command = self.follower.command(now);
         mark(Work::Command);
         let (detections, found_on) = (self.detections.clone(), self.found_on);
-        Ok(Step { report, detections, found_on, depth, command })
+        Ok(Step { report, detections, found_on, depth: self.map.take(), command })
     }
 
     /// The command when no frame came: by a timer of 50 ms or less.
@@ -145,8 +148,7 @@ impl Live {
     }
 
     /// Takes up what the networks said.
-    fn hear(&mut self) -> Option<DepthMap> {
-        let mut newest = None;
+    fn hear(&mut self) {
         if let Some(answer) = self.detector.answer() {
             self.times.push(NetworkTime { work: Work::Detect, ms: answer.ms });
             match answer.value {
@@ -163,12 +165,11 @@ impl Live {
                 Ok(map) => {
                     // One of a frame that is no longer kept gives a range all the same.
                     let _ = self.follower.depth(&map);
-                    newest = Some(map);
+                    self.map = Some(map);
                 }
                 Err(error) => self.failed(Work::Depth, answer.stamp, error),
             }
         }
-        newest
     }
 
     fn failed(&mut self, work: Work, stamp: Stamp, error: NetworkError) {

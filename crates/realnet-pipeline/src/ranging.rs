@@ -371,12 +371,6 @@ impl Ranging {
         Some(self.seen(at.stamp, point, found.edge_m / found.depth_m))
     }
 
-    /// The middle of a box at a depth, metres in the optical frame.
-    #[must_use]
-    pub fn place(&self, at: &TargetBox, depth_m: f64) -> Option<Point3<f64>> {
-        self.lift(&at.bbox, depth_m)
-    }
-
     /// Tangent of the direction to a box, left positive, in the plane, with its
     /// standard deviation.
     #[must_use]
@@ -437,7 +431,7 @@ impl Ranging {
             && inside(bbox.y0, bbox.y1, self.camera.height())
     }
 
-    fn lift(&self, bbox: &BoundingBox, depth_m: f64) -> Option<Point3<f64>> {
+    pub(crate) fn lift(&self, bbox: &BoundingBox, depth_m: f64) -> Option<Point3<f64>> {
         let (x, y) = bbox.center();
         let pixel = [f64::from(x) - 0.5, f64::from(y) - 0.5];
         self.camera.unproject_at_depth(pixel, depth_m).ok()

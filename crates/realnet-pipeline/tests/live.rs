@@ -150,6 +150,9 @@ fn it_ranges_and_drives() {
     assert!((range - f64::from(middle)).abs() < 0.04, "{range} +-{std}, {middle}");
     assert_eq!((step.report.status, step.command.stop), (TrackStatus::Tracking, None));
     assert_eq!(step.detections.len(), 2);
+    // A map that came between two frames belongs to the next one's step, once.
+    let maps = (0..6).filter(|_| robot.seen().depth.is_some()).count();
+    assert_eq!(maps, 1);
 }
 
 /// A network that fails is asked again; one that panicked is not, and the robot stops for

@@ -98,7 +98,8 @@ pub(crate) fn run(args: &FollowArgs) -> Result<Outcome> {
     let motors = args.motors.open(live)?;
     let mut chase = Chase::new(args, (saver, motors), bar, (live, source.fps()));
     let (done, dropped) = if live {
-        by_itself(args, source, &mut chase)?
+        let feed = Feed::start(source)?;
+        (by_itself(args, &feed, &mut chase), feed.dropped())
     } else {
         (recorded(args, source, &mut chase), 0)
     };
@@ -143,31 +144,22 @@ fn recorded(args: &FollowArgs, mut source: Source, chase: &mut Chase<'_>) -> Res
     Ok(())
 }
 
-/// Frames as they come, the newest first. Beside the outcome: how many were dropped.
-fn by_itself(
-    args: &FollowArgs,
-    source: Source,
-    chase: &mut Chase<'_>,
-) -> Result<(Result<()>, u64)> {
-    let feed = Feed::start(source)?;
+/// Frames as they come, the newest first.
+fn by_itself(args: &FollowArgs, feed: &Feed, chase: &mut Chase<'_>) -> Result<()> {
     let mut seen = 0;
-    let mut each = || -> Result<()> {
-        while args.limit.is_none_or(|limit| seen < limit) && !interrupt::interrupted() {
-            match feed.next(IDLE) {
-                Next::Shot(Ok(Shot { shot, arrived })) => {
-                    seen += 1;
-                    let now = feed.now().unwrap_or(shot.frame.stamp());
-                    chase.frame(shot, arrived, now)?;
-                }
-                Next::Shot(Err(error)) => chase.complain(&Error::new(error)),
-                Next::Nothing => feed.now().into_iter().for_each(|now| chase.idle(now)),
-                Next::End => break,
+    while args.limit.is_none_or(|limit| seen < limit) && !interrupt::interrupted() {
+        match feed.next(IDLE) {
+            Next::Shot(Ok(Shot { shot, arrived })) => {
+                seen += 1;
+                let now = feed.now().unwrap_or(shot.frame.stamp());
+                chase.frame(shot, arrived, now)?;
             }
+            Next::Shot(Err(error)) => chase.complain(&Error::new(error)),
+            Next::Nothing => feed.now().into_iter().for_each(|now| chase.idle(now)),
+            Next::End => break,
         }
-        Ok(())
-    };
-    let done = each();
-    Ok((done, feed.dropped()))
+    }
+    Ok(())
 }
 
 /// The camera of frames of this size.
