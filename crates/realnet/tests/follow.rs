@@ -139,6 +139,7 @@ fn bad_input_is_named() {
         (vec!["--fov", "200"], "200"),
         (vec!["--camera-height", "-1"], "-1"),
         (vec!["--gap", "0"], "above 0"),
+        (vec!["--camera-forward", "nan"], "nan"),
     ] {
         let run = realnet(&[vec!["follow", "--source", source], args].concat());
         assert!(run.code == Some(2) && run.stderr.contains(said), "{said}: {run:#?}");

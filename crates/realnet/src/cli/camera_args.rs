@@ -61,6 +61,14 @@ pub(crate) fn parse_camera_height(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("'{text}' is not a height in metres from 0.01 to 100"))
 }
 
+/// How far a camera sits ahead of the rear axle, metres.
+pub(crate) fn parse_camera_forward(text: &str) -> Result<f64, String> {
+    text.parse::<f64>()
+        .ok()
+        .filter(|forward| (-100.0..=100.0).contains(forward))
+        .ok_or_else(|| format!("'{text}' is not a length in metres from -100 to 100"))
+}
+
 /// How far a camera looks down: degrees are given, radians taken.
 pub(crate) fn parse_camera_pitch(text: &str) -> Result<f64, String> {
     text.parse::<f64>()

@@ -1,6 +1,6 @@
 //! The robot: where its camera sits, what it can do, what it is asked to do.
 
-use super::camera_args::{parse_camera_height, parse_camera_pitch};
+use super::camera_args::{parse_camera_forward, parse_camera_height, parse_camera_pitch};
 use super::model_args::parse_positive;
 use clap::Args;
 use realnet::control::{ControlOptions, Drive, VehicleOptions};
@@ -19,7 +19,8 @@ pub(crate) struct RobotArgs {
         value_parser = parse_camera_pitch)]
     camera_pitch: f64,
     /// The camera ahead of the rear axle, metres.
-    #[arg(long, value_name = "M", default_value_t = 0.25, allow_negative_numbers = true)]
+    #[arg(long, value_name = "M", default_value = "0.25", allow_negative_numbers = true,
+        value_parser = parse_camera_forward)]
     camera_forward: f64,
     /// Height of the target, metres: ranges by its size [default: unknown, no such ranges].
     #[arg(long, value_name = "M", value_parser = parse_positive)]
